@@ -1,0 +1,1 @@
+"""From pixels to metres: control points, homography, camera pose, ground point of a box."""

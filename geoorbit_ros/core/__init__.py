@@ -1,0 +1,1 @@
+"""Types every other package shares: tables, lanes, errors. Depends on numpy alone."""

@@ -1,0 +1,43 @@
+"""Errors whose message says what was found, what was expected, and where."""
+
+from __future__ import annotations
+
+
+class GeoOrbitError(Exception):
+    """Root of every error that geoorbit raises on purpose.
+
+    Args:
+        place: Where the value came from (`tracks.csv, line 7, column 'w'`, a topic, a parameter).
+        found: The offending value, as a person would write it.
+        expected: What would have been accepted.
+    """
+
+    def __init__(self, place: str, found: object, expected: str) -> None:
+        self.place = place
+        self.found = found
+        self.expected = expected
+        super().__init__(f"{place}: found {found}, expected {expected}")
+
+
+class InputFileError(GeoOrbitError):
+    """A file that a user gave can't be used."""
+
+
+class CalibrationError(GeoOrbitError):
+    """Control points from which no ground plane can be computed."""
+
+
+class TableError(GeoOrbitError):
+    """An array that is not the table its reader needs."""
+
+
+class MessageError(GeoOrbitError):
+    """A message on a topic that can't be used."""
+
+
+class ParameterError(GeoOrbitError):
+    """A parameter outside its type or bounds."""
+
+
+class NoTrafficError(GeoOrbitError):
+    """Trajectories from which no lane can be seen."""

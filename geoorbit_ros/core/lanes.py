@@ -1,0 +1,102 @@
+"""What a lane is, for every producer and consumer of lanes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Status = Literal["confirmed", "tentative"]
+
+
+@dataclass(frozen=True, slots=True)
+class Lane:
+    """One lane in the map frame (local ENU metres, REP-103).
+
+    Attributes:
+        lane_id: Stable over updates of the same map; never reused.
+        centerline_m: (K, 2) float64, in travel order.
+        left_m: (K, 2) left boundary as the driver sees it, point by point beside the centreline.
+        right_m: (K, 2) right boundary.
+        width_m: Mean distance between the boundaries.
+        width_sigma_m: 1-sigma error of `width_m`.
+        confidence: Probability in [0, 1] that this is exactly one lane.
+        status: `confirmed` when the evidence suffices, else `tentative`.
+        vehicles: Distinct vehicles seen in the lane (decayed evidence counts less).
+        vehicles_missing: How many more vehicles would confirm it; 0 when confirmed.
+        sigma_m: 1-sigma lateral error of the centreline, mean over its length.
+    """
+
+    lane_id: int
+    centerline_m: NDArray[np.float64]
+    left_m: NDArray[np.float64]
+    right_m: NDArray[np.float64]
+    width_m: float
+    width_sigma_m: float
+    confidence: float
+    status: Status
+    vehicles: float
+    vehicles_missing: int = 0
+    sigma_m: float = float("nan")
+
+    @property
+    def middle(self) -> tuple[float, float, float]:
+        """(x_m, y_m, heading_rad) half-way along the centreline; heading CCW from east."""
+        step = np.diff(self.centerline_m, axis=0)
+        arc = np.append(0.0, np.cumsum(np.hypot(step[:, 0], step[:, 1])))
+        k = min(int(np.searchsorted(arc, arc[-1] / 2, side="right")) - 1, len(step) - 1)
+        t = (arc[-1] / 2 - arc[k]) / max(arc[k + 1] - arc[k], 1e-12)
+        x, y = self.centerline_m[k] + t * step[k]
+        return float(x), float(y), float(np.arctan2(step[k, 1], step[k, 0]))
+
+    @property
+    def heading_deg(self) -> float:
+        """Travel direction at the middle, degrees clockwise from north, in [0, 360)."""
+        return float((90.0 - np.degrees(self.middle[2])) % 360.0)
+
+    @property
+    def length_m(self) -> float:
+        """Arc length of the centreline."""
+        return float(np.hypot(*np.diff(self.centerline_m, axis=0).T).sum())
+
+
+@dataclass(frozen=True, slots=True)
+class CrossSection:
+    """Lateral distribution of traffic across one direction of travel, for reports.
+
+    Attributes:
+        heading_deg: Travel direction, clockwise from north.
+        offset_m: (B,) lateral position of each bin's centre, positive to the driver's left.
+        density: (B,) vehicles per metre, smoothed.
+        peak_m: (P,) lateral positions taken for lanes.
+    """
+
+    heading_deg: float
+    offset_m: NDArray[np.float64]
+    density: NDArray[np.float64]
+    peak_m: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class LaneMap:
+    """All lanes one camera knows at one time.
+
+    Attributes:
+        stamp_ns: Capture time of the newest evidence in the map.
+        lanes: Confirmed and tentative lanes, ordered by `lane_id`.
+        cross_sections: One per direction of travel; may be empty.
+        visible_m: (V, 2) polygon on the ground inside which a lane can be told from its neighbour;
+            empty when unknown.
+    """
+
+    stamp_ns: int
+    lanes: tuple[Lane, ...]
+    cross_sections: tuple[CrossSection, ...] = ()
+    visible_m: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 2)))
+
+    @property
+    def confirmed(self) -> tuple[Lane, ...]:
+        """The lanes with enough evidence."""
+        return tuple(lane for lane in self.lanes if lane.status == "confirmed")

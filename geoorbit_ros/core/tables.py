@@ -1,0 +1,103 @@
+"""The tables that travel between nodes: one numpy structured row per vehicle and frame.
+
+The same dtypes are the in-memory arrays, the PointCloud2 payloads and the rows of a bag, so the
+offline path and the node graph compute on identical bits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.core.errors import TableError
+
+FLAG_PREDICTED = 1
+"""`flags` bit: the row is the tracker's prediction, no detection supports it."""
+FLAG_TRUNCATED = 2
+"""`flags` bit: the box touches the image border, its centre is not the vehicle's centre."""
+FLAG_GROUND_POINT = 4
+"""`flags` bit of `tracks_px`: the pixel is already on the ground (`w = h = 0` in a CSV)."""
+
+DETECTION_DTYPE = np.dtype(
+    [
+        ("x", "<f4"),
+        ("y", "<f4"),
+        ("width", "<f4"),
+        ("height", "<f4"),
+        ("score", "<f4"),
+        ("class_id", "<i4"),
+    ]
+)
+"""`detections`: pixels, box centre; COCO class numbers."""
+
+PIXEL_TRACK_DTYPE = np.dtype([*DETECTION_DTYPE.descr, ("track_id", "<i4"), ("flags", "<u4")])
+"""`tracks_px`: a detection with the tracker's identity."""
+
+TRACK_DTYPE = np.dtype(
+    [
+        ("x", "<f4"),
+        ("y", "<f4"),
+        ("vx", "<f4"),
+        ("vy", "<f4"),
+        ("heading", "<f4"),
+        ("length", "<f4"),
+        ("width", "<f4"),
+        ("score", "<f4"),
+        ("sigma", "<f4"),
+        ("class_id", "<i4"),
+        ("track_id", "<i4"),
+        ("flags", "<u4"),
+    ]
+)
+"""`tracks`: metres and m/s in the map frame (ENU, REP-103), heading in radians counter-clockwise
+from east (NaN until the vehicle has moved), `sigma` the 1-sigma ground position error in metres."""
+
+
+@dataclass(frozen=True, slots=True)
+class Frames:
+    """Rows of many frames, ordered by time.
+
+    Attributes:
+        stamp_ns: (F,) int64, capture time of each frame, strictly increasing.
+        offset: (F+1,) int64, rows of frame k are `rows[offset[k]:offset[k + 1]]`.
+        rows: (N,) structured array of one of the dtypes above.
+    """
+
+    stamp_ns: NDArray[np.int64]
+    offset: NDArray[np.int64]
+    rows: NDArray[np.void]
+
+    def __post_init__(self) -> None:
+        if len(self.offset) != len(self.stamp_ns) + 1 or self.offset[-1] != len(self.rows):
+            raise TableError(
+                "Frames",
+                f"{len(self.stamp_ns)} stamps, {len(self.offset)} offsets, {len(self.rows)} rows",
+                "one offset more than stamps, the last one equal to the number of rows",
+            )
+        if np.any(np.diff(self.stamp_ns) <= 0):
+            k = int(np.argmax(np.diff(self.stamp_ns) <= 0)) + 1
+            raise TableError(
+                f"Frames, frame {k}",
+                f"stamp {self.stamp_ns[k]} ns after {self.stamp_ns[k - 1]} ns",
+                "strictly increasing stamps",
+            )
+
+    def __len__(self) -> int:
+        return len(self.stamp_ns)
+
+    def frame(self, k: int) -> NDArray[np.void]:
+        """Rows of frame `k`, a view."""
+        return self.rows[self.offset[k] : self.offset[k + 1]]
+
+    def row_stamp_ns(self) -> NDArray[np.int64]:
+        """(N,) stamp of each row."""
+        return np.repeat(self.stamp_ns, np.diff(self.offset))
+
+
+def frames_from_rows(stamp_ns: NDArray[np.int64], rows: NDArray[np.void]) -> Frames:
+    """Group rows by their stamp; `stamp_ns` (N,) may come in any order."""
+    order = np.argsort(stamp_ns, kind="stable")
+    stamps, start = np.unique(stamp_ns[order], return_index=True)
+    return Frames(stamps, np.append(start, len(rows)).astype(np.int64), rows[order])

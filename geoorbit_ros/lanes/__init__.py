@@ -1,0 +1,1 @@
+"""Lane estimators behind one protocol, the continuous lane mapper, GeoJSON."""

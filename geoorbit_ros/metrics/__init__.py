@@ -1,0 +1,1 @@
+"""How wrong a lane map is, in terms a traffic engineer uses."""

@@ -1,0 +1,1 @@
+"""Synthetic roadside cameras with exact ground truth."""

@@ -1,0 +1,1 @@
+"""Files: bags, trajectory database, CSV tables."""
