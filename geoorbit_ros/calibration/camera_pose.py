@@ -1,0 +1,137 @@
+"""Where the camera stands and how it maps points above the road, from the road plane alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from geoorbit_ros.calibration.plane import Homography
+from geoorbit_ros.core.errors import CalibrationError
+
+Matrix = NDArray[np.float64]
+
+HEIGHT_M = (3.0, 100.0)
+"""Roadside poles are 5 to 25 m, bridges and towers up to 100 m."""
+FOCAL_WIDTHS = (0.2, 20.0)
+"""Focal length over image width: 136 degrees wide to 3 degrees, rectilinear lenses and zooms."""
+MAX_RELATIVE_SIGMA = 0.5
+"""A focal length less certain than this says nothing about heights."""
+
+
+@dataclass(frozen=True, slots=True)
+class CameraPose:
+    """A pinhole camera above the road.
+
+    Attributes:
+        projection: (3, 4) float64, homogeneous local metres (x, y, z above the road, 1) to
+            homogeneous pixels, the third component positive in front of the camera. Its columns
+            1, 2 and 4 are the inverse homography, so that road points agree exactly.
+        position_m: (3,) optical centre, metres east, north and above the road.
+        rotation: (3, 3) map frame to optical frame (REP-103: x right, y down, z forward).
+        focal_px: Focal length in pixels.
+        focal_sigma_px: 1-sigma error of `focal_px` that the control points leave.
+    """
+
+    projection: Matrix
+    position_m: Matrix
+    rotation: Matrix
+    focal_px: float
+    focal_sigma_px: float
+
+    def project(self, points_m: ArrayLike) -> Matrix:
+        """Pixels (N, 2) of points (N, 3) in local metres; NaN behind the camera."""
+        xyz = np.asarray(points_m, dtype=np.float64).reshape(-1, 3)
+        uvw = xyz @ self.projection[:, :3].T + self.projection[:, 3]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(uvw[:, 2:] > 0, uvw[:, :2] / uvw[:, 2:], np.nan)
+
+
+def recover_pose(homography: Homography, image_size: tuple[int, int]) -> CameraPose:
+    """Recover focal length and pose, assuming square pixels and a centred principal point.
+
+    The images of the road's two axes are perpendicular and of equal length in space, which gives
+    two linear equations for 1/f^2 (Zhang (2000), A Flexible New Technique for Camera Calibration,
+    equations 3 and 4). Their least-squares solution does not depend on where east is.
+
+    Args:
+        homography: The road plane.
+        image_size: (width, height) in pixels of the images the control points were clicked in.
+
+    Raises:
+        CalibrationError: The plane fixes no focal length (a camera looking straight down), or an
+            implausible one, or a camera at an implausible height. The sentence says which.
+    """
+    place = f"camera pose from {homography.points.place}"
+    focal = _focal_length(homography.matrix, image_size)
+    if not np.isfinite(focal):
+        raise CalibrationError(
+            place,
+            "a road plane that fits no focal length",
+            f"a pinhole camera with the centre of a {image_size[0]}x{image_size[1]} image "
+            "on its axis, looking at the road at a slant",
+        )
+    changed = [_focal_length(homography.matrix + d, image_size) for d in homography.spread]
+    sigma = float(np.sqrt(np.square(np.subtract(changed, focal)).sum()))
+    if not sigma <= MAX_RELATIVE_SIGMA * focal:
+        raise CalibrationError(
+            place,
+            f"a focal length of {focal:.0f} ± {sigma:.0f} px",
+            "control points that fix it to 50 %: more of them, wider apart",
+        )
+    low, high = (factor * image_size[0] for factor in FOCAL_WIDTHS)
+    if not low <= focal <= high:
+        raise CalibrationError(
+            place, f"a focal length of {focal:.0f} px", f"{low:.0f} to {high:.0f} px"
+        )
+    pose = _pose(homography, image_size, focal, sigma)
+    if not HEIGHT_M[0] <= pose.position_m[2] <= HEIGHT_M[1]:
+        raise CalibrationError(
+            place,
+            f"a camera {pose.position_m[2]:.1f} m above the road",
+            f"{HEIGHT_M[0]:g} to {HEIGHT_M[1]:g} m",
+        )
+    return pose
+
+
+def _centred(matrix: Matrix, image_size: tuple[int, int]) -> Matrix:
+    """Road to pixels from the image centre, (3, 3).
+
+    Pixel centres have whole coordinates or halves, depending on who clicked: half a pixel is far
+    below what a principal point is off.
+    """
+    shift = np.array([[1, 0, -image_size[0] / 2], [0, 1, -image_size[1] / 2], [0, 0, 1]])
+    return np.asarray(shift @ np.linalg.inv(matrix))
+
+
+def _focal_length(matrix: Matrix, image_size: tuple[int, int]) -> float:
+    """Focal length in pixels, NaN where 1/f^2 comes out at zero or below."""
+    a, b = _centred(matrix, image_size).T[:2]
+    # The image of a slanted plane scales the focal length out of these two products:
+    # a.b = 0 and (a.a - b.b) / 2 = 0 with the metric diag(1/f^2, 1/f^2, 1).
+    plane = np.array([a[0] * b[0] + a[1] * b[1], (a[:2] @ a[:2] - b[:2] @ b[:2]) / 2])
+    depth = np.array([a[2] * b[2], (a[2] ** 2 - b[2] ** 2) / 2])
+    # Solved for f^2, in which the errors of noisy control points are closer to linear.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return float(np.sqrt(-(plane @ depth) / (depth @ depth)))
+
+
+def _pose(
+    homography: Homography, image_size: tuple[int, int], focal: float, sigma: float
+) -> CameraPose:
+    centre = np.array([image_size[0] / 2, image_size[1] / 2])
+    to_axes = np.diag([1 / focal, 1 / focal, 1.0])
+    columns = to_axes @ _centred(homography.matrix, image_size)
+    # The inverse homography has positive depth at the control points, hence in front.
+    scale = (np.linalg.norm(columns[:, 0]) + np.linalg.norm(columns[:, 1])) / 2
+    r1, r2 = columns[:, 0] / scale, columns[:, 1] / scale
+    u, _, vt = np.linalg.svd(np.column_stack((r1, r2, np.cross(r1, r2))))
+    rotation = u @ vt
+    position = -rotation.T @ (columns[:, 2] / scale)
+    up = np.array([focal, focal, 1.0]) * rotation[:, 2] * scale
+    up[:2] += centre * up[2]
+    g = homography.inverse
+    return CameraPose(
+        np.column_stack((g[:, 0], g[:, 1], up, g[:, 2])), position, rotation, focal, sigma
+    )

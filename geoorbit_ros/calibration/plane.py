@@ -1,0 +1,125 @@
+"""From a pixel to metres on the road, with the error that goes with it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from geoorbit_ros.calibration.control_points import ControlPoints
+from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.calibration.robust import jacobian, transfer
+
+
+@dataclass(frozen=True, slots=True)
+class ControlResidual:
+    """How well each control point fits, in the order of the file.
+
+    Attributes:
+        pixel_error: (N,) distance in the image between the point and its projected position.
+        ground_error_m: (N,) distance on the road between the position and the projected pixel.
+        inlier: (N,) whether the point took part in the fit.
+    """
+
+    pixel_error: NDArray[np.float64]
+    ground_error_m: NDArray[np.float64]
+    inlier: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Homography:
+    """The road plane as one camera sees it.
+
+    Attributes:
+        matrix: (3, 3) float64, pixel (u, v, 1) to homogeneous local metres; the third component,
+            the inverse depth, is positive below the horizon and 1 on average at the control points.
+        spread: (8, 3, 3) independent 1-sigma changes of `matrix`: the error that control points
+            leave. Zeros when the matrix is exact.
+        points: The control points behind it.
+        residual: Error at each of them.
+    """
+
+    matrix: NDArray[np.float64]
+    spread: NDArray[np.float64]
+    points: ControlPoints
+    residual: ControlResidual
+
+    @property
+    def datum(self) -> Datum | None:
+        """Origin of the map frame, None when the control points were given in metres."""
+        return self.points.datum
+
+    @property
+    def inverse(self) -> NDArray[np.float64]:
+        """(3, 3) local metres to homogeneous pixels."""
+        return np.asarray(np.linalg.inv(self.matrix), dtype=np.float64)
+
+    def visible(self, pixel: ArrayLike) -> NDArray[np.bool_]:
+        """(N,) whether pixels (N, 2) are below the horizon, so that they show the road."""
+        uv = np.asarray(pixel, dtype=np.float64).reshape(-1, 2)
+        return np.asarray(uv @ self.matrix[2, :2] + self.matrix[2, 2] > 0)
+
+    def to_ground(self, pixel: ArrayLike) -> NDArray[np.float64]:
+        """Metres (N, 2) of pixels (N, 2); NaN on and above the horizon."""
+        uv = np.asarray(pixel, dtype=np.float64).reshape(-1, 2)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(self.visible(uv)[:, None], transfer(self.matrix, uv), np.nan)
+
+    def to_pixel(self, local_m: ArrayLike) -> NDArray[np.float64]:
+        """Pixels (N, 2) of metres (N, 2); NaN for points behind the camera."""
+        xy = np.asarray(local_m, dtype=np.float64).reshape(-1, 2)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            uv = transfer(self.inverse, xy)
+            return np.where(self.visible(uv)[:, None], uv, np.nan)
+
+    def jacobian(self, pixel: ArrayLike) -> NDArray[np.float64]:
+        """Metres on the road per pixel, (N, 2, 2), rows (x, y), columns (u, v)."""
+        return jacobian(self.matrix, np.asarray(pixel, dtype=np.float64).reshape(-1, 2))
+
+    def fit_covariance(self, pixel: ArrayLike) -> NDArray[np.float64]:
+        """Covariance (N, 2, 2) in m^2 that the control points' errors cause at pixels (N, 2).
+
+        This error is the same in every frame: it shifts all vehicles at a place together.
+        """
+        uv = np.asarray(pixel, dtype=np.float64).reshape(-1, 2)
+        ground = transfer(self.matrix, uv)
+        w = uv @ self.matrix[2, :2] + self.matrix[2, 2]
+        change = uv @ np.swapaxes(self.spread[..., :2], 1, 2) + self.spread[:, None, :, 2]
+        shift = (change[..., :2] - ground * change[..., 2:]) / w[:, None]
+        return np.asarray(np.einsum("kni,knj->nij", shift, shift))
+
+    def covariance(self, pixel: ArrayLike, sigma_px: ArrayLike) -> NDArray[np.float64]:
+        """Covariance (N, 2, 2) in m^2 of the ground position of pixels (N, 2).
+
+        Args:
+            pixel: (N, 2).
+            sigma_px: 1-sigma of each coordinate, (N,) or one number.
+        """
+        j = self.jacobian(pixel)
+        noise = np.broadcast_to(np.asarray(sigma_px, dtype=np.float64) ** 2, (len(j),))
+        return noise[:, None, None] * (j @ np.swapaxes(j, 1, 2)) + self.fit_covariance(pixel)
+
+    def sigma_m(self, pixel: ArrayLike, sigma_px: ArrayLike) -> NDArray[np.float64]:
+        """1-sigma ground error (N,) along its worst direction; infinite above the horizon."""
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            worst = worst_sigma(self.covariance(pixel, sigma_px))
+        return np.where(self.visible(pixel), worst, np.inf)
+
+    def describe_residuals(self) -> list[str]:
+        """One sentence per control point: where it is, its error, whether it was used."""
+        lines = []
+        for k in range(len(self.points)):
+            used = "used" if self.residual.inlier[k] else "REJECTED, disagrees with the others"
+            lines.append(
+                f"{self.points.place}, line {self.points.line_number[k]}: "
+                f"{self.residual.pixel_error[k]:.1f} px, "
+                f"{self.residual.ground_error_m[k]:.2f} m, {used}"
+            )
+        return lines
+
+
+def worst_sigma(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Square root (N,) of the larger eigenvalue of covariances (N, 2, 2)."""
+    a, b, c = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
+    return np.asarray(np.sqrt((a + c) / 2 + np.hypot((a - c) / 2, b)))
