@@ -1,0 +1,84 @@
+"""Output that is there completely or not at all."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from geoorbit_ros.core.errors import InputFileError
+
+
+@contextmanager
+def atomic_output(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
+    """Write a file or a folder under a temporary path, then rename it to `path`.
+
+    The temporary path lies in a hidden folder beside `path` (same file system, so the rename is
+    atomic) and ends in the same name, because some writers name things inside after it. Missing
+    parent folders are made, and taken away again when the block fails.
+
+    Args:
+        path: Where the result goes. An existing file is replaced.
+        overwrite: Also replace an existing folder with content; without it that is refused before
+            any work is done.
+
+    Yields:
+        The path to write to; nothing exists there yet.
+
+    Raises:
+        InputFileError: `path` is a folder with content and `overwrite` is off, or nothing can be
+            written there.
+    """
+    target = Path(path).absolute()
+    if not overwrite and target.is_dir() and any(target.iterdir()):
+        raise InputFileError(
+            str(path), "a folder with content", "a path that does not exist yet (or remove it)"
+        )
+    made: list[Path] = []
+    try:
+        for folder in [*reversed(target.parent.parents), target.parent]:
+            if not folder.exists():
+                folder.mkdir()
+                made.append(folder)
+        scratch = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
+    except OSError as error:
+        _remove_empty(made)
+        raise InputFileError(
+            str(path), f"{error.strerror} ({error.filename})", "a place that can be written to"
+        ) from None
+    temporary = scratch / target.name
+    try:
+        yield temporary
+        _sync(temporary)
+        if temporary.is_dir() != target.is_dir() or (overwrite and target.is_dir()):
+            _move_aside(target, scratch)
+        os.replace(temporary, target)
+    except BaseException:
+        shutil.rmtree(scratch, ignore_errors=True)
+        _remove_empty(made)
+        raise
+    shutil.rmtree(scratch, ignore_errors=True)
+
+
+def _sync(path: Path) -> None:
+    """Bring a file's content to disk before its name points at it (power loss, not kill)."""
+    if path.is_file():
+        with path.open("rb") as file:
+            os.fsync(file.fileno())
+
+
+def _move_aside(target: Path, scratch: Path) -> None:
+    """Make room where rename(2) can't replace: it refuses folders with content or mixed kinds."""
+    if target.exists():
+        aside = scratch / "replaced"
+        aside.mkdir()
+        os.replace(target, aside / target.name)
+
+
+def _remove_empty(folders: list[Path]) -> None:
+    for folder in reversed(folders):
+        with suppress(OSError):  # somebody else uses it meanwhile: then it stays
+            folder.rmdir()
