@@ -16,7 +16,7 @@ import pyarrow.compute as pc
 import pyarrow.csv as pacsv
 from numpy.typing import NDArray
 
-from geoorbit_ros.core.errors import InputFileError, TableError
+from geoorbit_ros.core.errors import TableError
 from geoorbit_ros.core.tables import FLAG_GROUND_POINT, PIXEL_TRACK_DTYPE, Frames
 from geoorbit_ros.storage.atomic import atomic_output
 from geoorbit_ros.storage.csv_columns import CsvColumns, read_columns
@@ -101,13 +101,12 @@ def write_track_csv(path: str | Path, frames: Frames) -> None:
         k = int(np.argmax(bad))
         raise TableError(f"{path}, row {k} to write", rows[k], "finite numbers, a size above 0")
     number = np.repeat(np.arange(len(frames)), np.diff(frames.offset))
-    stamp = np.zeros((len(rows), 2), np.int64)  # low and high word of Arrow's 128-bit decimal
-    stamp[:, 0] = frames.row_stamp_ns()
-    time = pa.Array.from_buffers(pa.decimal128(19, 9), len(rows), [None, pa.py_buffer(stamp)])
+    # Decimal text, because a float64 of seconds since 1970 is exact to 0.2 microseconds only.
+    seconds = [f"{s // 10**9}.{s % 10**9:09d}" for s in frames.stamp_ns.tolist()]
     table = pa.table(
         {
             "id": rows["track_id"],
-            "time": time,
+            "time": pa.array(seconds, pa.string()).take(pa.array(number)),
             "frame_num": number,
             "class": rows["class_id"],
             "conf": rows["score"],
@@ -179,9 +178,5 @@ def _refuse_twins(columns: CsvColumns, frames: Frames) -> None:
     twin = np.flatnonzero(np.diff(key[order]) == 0)
     if len(twin):
         row = int(order[twin + 1].min())
-        columns.fail(
-            row,
-            "id",
-            "every id at most once in a frame",
-            f"id {frames.rows['track_id'][row]} twice in one frame",
-        )
+        found = f"id {frames.rows['track_id'][row]} twice in one frame"
+        columns.fail(row, "id", "every id at most once in a frame", found)
