@@ -1,0 +1,166 @@
+"""Dependencies point inwards: who may import whom, checked on the syntax tree of every file."""
+
+import ast
+import re
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+PACKAGE = "geoorbit_ros"
+ROOT = Path(__file__).parents[2] / PACKAGE
+
+# A room may import rooms of its own level or below.
+LEVELS = {
+    "core": 0,
+    **dict.fromkeys(("detection", "tracking", "calibration", "lanes", "metrics"), 1),
+    **dict.fromkeys(("conversions", "parameters", "storage", "report"), 2),
+    **dict.fromkeys(("scenes", "learning", "federated", "twin"), 2),
+    "nodes": 3,
+    "cli": 4,
+}
+
+# Who may import what from outside. Names are patterns of the imported top-level module.
+RESERVED = {
+    r"rclpy|rosidl_\w+|ament_\w+|\w+_msgs|\w+_interfaces": {
+        "nodes",
+        "conversions",
+        "parameters",
+        "storage",
+    },
+    r"torch": {"learning"},
+    r"libsumo|sumolib|traci|sumo": {"scenes", "twin"},
+    r"typer|rich|click": {"cli"},
+}
+CORE_MAY_IMPORT = {"numpy", "scipy"}
+MAX_NODE_LINES = 150
+
+
+@dataclass(frozen=True)
+class Import:
+    path: Path
+    line: int
+    room: str  # the importing file's place below the package
+    module: str  # dotted name of what it imports
+
+    def breach(self, rule: str) -> str:
+        return f"{self.path}:{self.line}: {self.room} imports {self.module}: {rule}"
+
+
+def imported_modules(node: ast.AST, package: list[str]) -> list[str]:
+    """Dotted names that one statement imports; relative ones resolved against `package`."""
+    if isinstance(node, ast.Import):
+        return [alias.name for alias in node.names]
+    if isinstance(node, ast.ImportFrom):
+        base = package[: len(package) - node.level + 1] if node.level else []
+        start = ".".join([*base, node.module] if node.module else base)
+        # `from geoorbit_ros import nodes` imports a room by name.
+        return [f"{start}.{alias.name}" for alias in node.names]
+    if isinstance(node, ast.Call) and node.args and isinstance(node.args[0], ast.Constant):
+        called = node.func.attr if isinstance(node.func, ast.Attribute) else ""
+        called = node.func.id if isinstance(node.func, ast.Name) else called
+        if called in {"import_module", "__import__"}:
+            return [str(node.args[0].value)]
+    return []
+
+
+def imports(root: Path) -> Iterator[Import]:
+    """All imports in a package, those inside functions and type-checking blocks included."""
+    for path in sorted(root.rglob("*.py")):
+        parts = path.relative_to(root).with_suffix("").parts
+        package = [PACKAGE, *parts[:-1]]
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
+            for module in imported_modules(node, package):
+                yield Import(path, getattr(node, "lineno", 0), parts[0], module)
+
+
+def breach(found: Import) -> str | None:
+    """Says which rule an import breaks, if any."""
+    top, _, rest = found.module.partition(".")
+    if top == PACKAGE:
+        target = rest.partition(".")[0]
+        if target in LEVELS and LEVELS[target] > LEVELS.get(found.room, 0):
+            return found.breach("dependencies point inwards")
+        return None
+    for pattern, rooms in RESERVED.items():
+        if re.fullmatch(pattern, top) and found.room not in rooms:
+            return found.breach(f"only {', '.join(sorted(rooms))} may")
+    if found.room == "core" and top not in CORE_MAY_IMPORT | sys.stdlib_module_names:
+        return found.breach(f"core needs only {', '.join(sorted(CORE_MAY_IMPORT))}")
+    return None
+
+
+def room_cycles(found: list[Import]) -> list[str]:
+    """Pairs of rooms that import each other."""
+    edges = {
+        (item.room, item.module.split(".")[1])
+        for item in found
+        if item.module.startswith(f"{PACKAGE}.") and item.module.split(".")[1] in LEVELS
+    }
+    return sorted(f"{a} and {b} import each other" for a, b in edges if a < b and (b, a) in edges)
+
+
+def test_imports_point_inwards() -> None:
+    breaches = [text for item in imports(ROOT) if (text := breach(item))]
+    assert not breaches, "\n" + "\n".join(breaches)
+
+
+def test_no_two_rooms_import_each_other() -> None:
+    assert room_cycles(list(imports(ROOT))) == []
+
+
+def test_every_room_has_its_level() -> None:
+    rooms = {path.name for path in ROOT.iterdir() if (path / "__init__.py").is_file()}
+    files = {path.stem for path in ROOT.glob("*.py")} - {"__init__"}
+    assert rooms | files <= set(LEVELS), "add the new room to LEVELS"
+
+
+def test_node_files_stay_thin() -> None:
+    lengths = {path: path.read_text().count("\n") for path in (ROOT / "nodes").glob("*.py")}
+    long = [f"{path}: {n} lines" for path, n in lengths.items() if n > MAX_NODE_LINES]
+    assert not long, f"logic belongs below nodes/, at most {MAX_NODE_LINES} lines: {long}"
+
+
+@pytest.mark.parametrize(
+    ("file", "statement"),
+    [
+        ("core/a.py", "import cv2"),
+        ("core/a.py", "from geoorbit_ros.lanes import estimator"),
+        ("core/a.py", "from ..lanes import estimator"),
+        ("lanes/a.py", "from sensor_msgs.msg import PointCloud2"),
+        ("lanes/a.py", "def f():\n    import rclpy"),
+        ("lanes/a.py", "import libsumo"),
+        ("metrics/a.py", "from geoorbit_ros import storage"),
+        ("calibration/a.py", "from importlib import import_module\nimport_module('rclpy')"),
+        ("storage/a.py", "import geoorbit_ros.nodes.homography"),
+        ("nodes/a.py", "from geoorbit_ros.cli import main"),
+        ("cli/a.py", "import torch"),
+        ("report/a.py", "from rich import print"),
+    ],
+)
+def test_the_rules_catch_a_wrong_import(tmp_path: Path, file: str, statement: str) -> None:
+    path = tmp_path / file
+    path.parent.mkdir()
+    path.write_text(f"import numpy as np\n{statement}\n")
+    breaches = [text for item in imports(tmp_path) if (text := breach(item))]
+    assert len(breaches) == 1, statement
+    assert f"{path}:{1 + statement.count(chr(10)) + 1}:" in breaches[0]
+
+
+@pytest.mark.parametrize(
+    ("file", "statement"),
+    [
+        ("core/a.py", "from scipy.spatial import cKDTree\nimport math"),
+        ("lanes/a.py", "from geoorbit_ros.core.lanes import Lane\nfrom ..calibration import datum"),
+        ("nodes/a.py", "import rclpy\nfrom geoorbit_ros.lanes import mapper"),
+        ("storage/a.py", "from rclpy.serialization import serialize_message"),
+        ("scenes/a.py", "import libsumo"),
+    ],
+)
+def test_the_rules_allow_a_right_import(tmp_path: Path, file: str, statement: str) -> None:
+    path = tmp_path / file
+    path.parent.mkdir()
+    path.write_text(statement)
+    assert [text for item in imports(tmp_path) if (text := breach(item))] == []
