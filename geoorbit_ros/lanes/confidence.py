@@ -1,0 +1,64 @@
+"""How sure a lane is, and how much traffic would make it sure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geoorbit_ros.core.lanes import Lane
+
+VEHICLE_SCALE = 2.2
+"""Confidence by traffic alone is 1 - exp(-vehicles / VEHICLE_SCALE): 0.37 for one, 0.90 for five."""
+MIN_VEHICLES = 5.0
+CONFIRM = 0.8
+KEEP_CONFIRMED = 0.5
+"""A confirmed lane stays so until its confidence falls under this: no flicker at the threshold."""
+
+
+@dataclass(frozen=True, slots=True)
+class LaneEvidence:
+    """What speaks for a lane.
+
+    Attributes:
+        vehicles: Distinct vehicles that drove along it.
+        lane_share: Share of the traffic in its band that drives along it rather than across.
+        length: Its length in units of the road's scale (about a second of travel).
+    """
+
+    vehicles: float
+    lane_share: float
+    length: float
+
+
+def judge(lane: Lane, evidence: LaneEvidence, was_confirmed: bool) -> Lane:
+    """The lane with its confidence, status and missing traffic filled in.
+
+    Args:
+        lane: The lane.
+        evidence: What speaks for it.
+        was_confirmed: Whether an earlier map had it confirmed.
+    """
+    confidence = _confidence(evidence.vehicles, evidence)
+    confirmed = evidence.vehicles >= MIN_VEHICLES and confidence >= CONFIRM
+    confirmed |= was_confirmed and confidence >= KEEP_CONFIRMED
+    missing = 0
+    if not confirmed:
+        wanted = np.arange(np.ceil(MIN_VEHICLES), 100.0)
+        enough = [n for n in wanted if _confidence(n, evidence) >= CONFIRM]
+        target = enough[0] if enough else evidence.vehicles + MIN_VEHICLES
+        missing = max(1, int(np.ceil(target - evidence.vehicles)))
+    return replace(
+        lane,
+        confidence=confidence,
+        status="confirmed" if confirmed else "tentative",
+        vehicles_missing=missing,
+    )
+
+
+def _confidence(vehicles: float, evidence: LaneEvidence) -> float:
+    traffic = 1.0 - np.exp(-vehicles / VEHICLE_SCALE)
+    # Half the band's traffic driving across is common at a merge; nearly all of it is no lane.
+    along = 1.0 / (1.0 + np.exp(-(evidence.lane_share - 0.3) / 0.06))
+    long = 1.0 - np.exp(-evidence.length / 0.5)
+    return float(traffic * along * long)

@@ -1,0 +1,101 @@
+"""Corridors: streams of traffic that run side by side in one direction of travel.
+
+A carriageway with its ramps is one corridor; the opposite carriageway, a side street and the branch
+of a turn are others. Within a corridor every node has road coordinates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.lanes.passes import MIN_TRAVEL_M, Passes, wrap_rad
+from geoorbit_ros.lanes.spine import Spine, trace_spine
+
+MAX_CORRIDORS = 16
+MAX_OFFSET_M = 40.0
+MAX_ANGLE_RAD = 0.45
+"""Between a vehicle and its corridor: ramps leave at less, turning vehicles at more."""
+
+
+@dataclass(frozen=True, slots=True)
+class Corridor:
+    """One stream and the nodes in it.
+
+    Attributes:
+        spine: Its reference curve.
+        node: (M,) indices into the nodes of the passes.
+        s: (M,) arc length of each node, metres.
+        d: (M,) offset to the left, metres.
+        scale_m: Length over which the road's shape is averaged, by the stream's speed.
+    """
+
+    spine: Spine
+    node: NDArray[np.int64]
+    s: NDArray[np.float64]
+    d: NDArray[np.float64]
+    scale_m: float
+
+
+def find_corridors(
+    passes: Passes, known: Sequence[tuple[Spine, float]] = ()
+) -> list[Corridor]:
+    """Split the traffic into streams, the one with the longest pass first.
+
+    Args:
+        passes: All traffic.
+        known: Reference curves and scales of streams found before; only traffic that fits none of
+            them makes a new one.
+    """
+    owner = passes.pass_of_node()
+    step = np.append(0.0, np.hypot(*np.diff(passes.xy, axis=0).T))
+    step[passes.offset[:-1]] = 0.0
+    elapsed = np.append(0.0, np.diff(passes.time_s))
+    elapsed[passes.offset[:-1]] = 0.0
+    left = np.ones(len(owner), bool)
+    corridors: list[Corridor] = []
+    for spine, scale_m in known:
+        corridor = place_nodes(spine, scale_m, passes, np.flatnonzero(left))
+        left[corridor.node] = False
+        if len(corridor.node):
+            corridors.append(corridor)
+    while left.any() and len(corridors) < MAX_CORRIDORS:
+        remaining = np.bincount(owner, step * left, len(passes))
+        if remaining.max() < MIN_TRAVEL_M:
+            break
+        seed_pass = int(np.argmax(remaining))
+        seed = np.flatnonzero(left & (owner == seed_pass))
+        speed = step[seed].sum() / max(elapsed[seed].sum(), 1e-3)
+        corridor = _corridor(passes, np.flatnonzero(left), seed, _scale_m(speed))
+        left[seed] = False
+        left[corridor.node] = False
+        if len(corridor.node):
+            corridors.append(corridor)
+    return corridors
+
+
+def place_nodes(spine: Spine, scale_m: float, passes: Passes, among: NDArray[np.int64]) -> Corridor:
+    """The corridor around `spine`, with the nodes `among` (M,) that run along it."""
+    s, d = spine.to_road(passes.xy[among])
+    angle = wrap_rad(passes.heading[among] - spine.heading_at(s))
+    # Inside a bend, beyond the centre of curvature, (s, d) is no longer one to one.
+    regular = 1.0 - d * np.interp(s, spine.s, spine.curvature) > 0.3
+    fits = (np.abs(angle) < MAX_ANGLE_RAD) & (np.abs(d) < MAX_OFFSET_M) & regular
+    fits &= (s >= 0.0) & (s <= spine.s[-1])
+    return Corridor(spine, among[fits], s[fits], d[fits], scale_m)
+
+
+def _corridor(
+    passes: Passes, left: NDArray[np.int64], seed: NDArray[np.int64], scale_m: float
+) -> Corridor:
+    position = np.searchsorted(left, seed)
+    spine = trace_spine(passes.xy[left], passes.heading[left], position, scale_m)
+    return place_nodes(spine, scale_m, passes, left)
+
+
+def _scale_m(speed_mps: float) -> float:
+    """Roads bend, and vehicles change lanes, over a time rather than a length."""
+    return float(np.clip(0.7 * speed_mps, 5.0, 20.0))

@@ -1,0 +1,173 @@
+"""The lane estimator that users get: lanes as crests of traffic density along curved roads.
+
+Per update: passes (condensed tracks) -> corridors (streams with a reference curve) -> lateral
+profiles -> density over (s, d) -> crests -> members -> centrelines -> widths. Nothing in it knows an
+axis: it depends on distances and angles between vehicles alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.core.lanes import CrossSection, Lane, LaneMap
+from geoorbit_ros.lanes.centerlines import LARGE_WEIGHT, Centerline, fit_centerline
+from geoorbit_ros.lanes.confidence import LaneEvidence, judge
+from geoorbit_ros.lanes.corridors import Corridor, find_corridors, place_nodes
+from geoorbit_ros.lanes.evidence import Evidence
+from geoorbit_ros.lanes.identity import LaneRegistry
+from geoorbit_ros.lanes.members import find_members
+from geoorbit_ros.lanes.parameters import LaneParameters
+from geoorbit_ros.lanes.passes import Passes
+from geoorbit_ros.lanes.profiles import Profiles, lateral_profiles
+from geoorbit_ros.lanes.ridges import Density, find_ridges, lateral_density, separate
+from geoorbit_ros.lanes.spine import Spine
+from geoorbit_ros.lanes.widths import lane_widths, neighbour_spacings
+
+BLUR_PER_SMOOTHING_M = 0.045
+PROMINENCE_PER_ANGLE = 0.5
+MIN_HEIGHT = 0.3
+SUPPORT_SHARE = 0.6
+
+
+@dataclass(frozen=True, slots=True)
+class _Candidate:
+    """A lane of one corridor before it has a width and a name."""
+
+    corridor: int
+    line: Centerline
+    evidence: LaneEvidence
+
+
+class CurvilinearEstimator:
+    """`LaneEstimator` for any heading, bends, ramps, both directions and sparse lanes."""
+
+    def __init__(self) -> None:
+        self._evidence = Evidence()
+        self._registry = LaneRegistry()
+        self._spines: list[tuple[Spine, float]] = []
+        self._traced_passes = 0
+
+    def add(self, stamp_ns: int, rows: NDArray[np.void]) -> None:
+        """Take one frame of `TRACK_DTYPE` rows; stamps increase from call to call."""
+        self._evidence.add(stamp_ns, rows)
+
+    def lanes(self, parameters: LaneParameters) -> LaneMap:
+        """The lanes as the evidence stands now; see the module's text for the method."""
+        passes, worth = self._evidence.passes()
+        stamp_ns = self._evidence.stamp_ns
+        if len(passes) == 0:
+            return LaneMap(stamp_ns, ())
+        corridors = self._corridors(passes)
+        blur_m = BLUR_PER_SMOOTHING_M * parameters.smoothing
+        prominence = PROMINENCE_PER_ANGLE * parameters.angle
+        candidates: list[_Candidate] = []
+        sections: list[CrossSection] = []
+        grids: list[Profiles] = []
+        for k, corridor in enumerate(corridors):
+            profiles = lateral_profiles(corridor, passes, worth)
+            grids.append(profiles)
+            if not profiles.seen.any():
+                continue
+            large = passes.large[profiles.passes]
+            density = lateral_density(profiles, blur_m, np.where(large, LARGE_WEIGHT, 1.0))
+            found = _candidates(k, corridor, profiles, density, large, prominence)
+            candidates.extend(found)
+            if found:
+                sections.append(_cross_section(corridor, profiles, density, found))
+        lanes = _finish(candidates, corridors, grids, parameters.width_scale, self._registry)
+        return LaneMap(stamp_ns, self._registry.identify(lanes), tuple(sections))
+
+    def _corridors(self, passes: Passes) -> list[Corridor]:
+        """Corridors along the known reference curves; traced anew when the evidence has doubled."""
+        if len(passes) >= 2 * self._traced_passes or not self._spines:
+            corridors = find_corridors(passes)
+            self._traced_passes = len(passes)
+        else:
+            corridors = find_corridors(passes, self._spines)
+        self._spines = [(c.spine, c.scale_m) for c in corridors]
+        return corridors
+
+
+def _candidates(
+    number: int,
+    corridor: Corridor,
+    profiles: Profiles,
+    density: Density,
+    large: NDArray[np.bool_],
+    prominence: float,
+) -> list[_Candidate]:
+    """The candidate lanes of one corridor, from left to right."""
+    support_m = SUPPORT_SHARE * corridor.scale_m
+    found = []
+    for ridge in separate(find_ridges(density, MIN_HEIGHT, prominence)):
+        members = find_members(profiles, ridge, support_m)
+        line = fit_centerline(profiles, ridge, members, large, 2.0 * corridor.scale_m)
+        if line is not None:
+            length_m = (len(line.d) - 1) * profiles.step_m
+            evidence = LaneEvidence(
+                members.vehicles, members.lane_share, length_m / corridor.scale_m
+            )
+            found.append(_Candidate(number, line, evidence))
+    return sorted(found, key=lambda c: -float(np.mean(c.line.d)))
+
+
+def _finish(
+    candidates: list[_Candidate],
+    corridors: list[Corridor],
+    grids: list[Profiles],
+    width_scale: float,
+    registry: LaneRegistry,
+) -> list[Lane]:
+    """Widths, boundaries and verdicts."""
+    spacings = []
+    for k, grid in enumerate(grids):
+        mine = [i for i, c in enumerate(candidates) if c.corridor == k]
+        lines = [candidates[i].line for i in mine]
+        spacings += neighbour_spacings(lines, grid.step_m, mine)
+    width, error = lane_widths(len(candidates), spacings)
+    lanes = []
+    for i, candidate in enumerate(candidates):
+        spine = corridors[candidate.corridor].spine
+        s = grids[candidate.corridor].station_m[candidate.line.station]
+        d, half = candidate.line.d, 0.5 * width_scale * width[i]
+        lane = Lane(
+            0,
+            spine.to_map(s, d),
+            spine.to_map(s, d + half),
+            spine.to_map(s, d - half),
+            2.0 * half,
+            width_scale * float(error[i]),
+            0.0,
+            "tentative",
+            candidate.evidence.vehicles,
+            0,
+            float(np.mean(candidate.line.sigma_m)),
+        )
+        lanes.append(judge(lane, candidate.evidence, registry.was_confirmed(lane)))
+    return [lane for lane in lanes if lane.confidence > 0.0]
+
+
+def _cross_section(
+    corridor: Corridor, profiles: Profiles, density: Density, found: list[_Candidate]
+) -> CrossSection:
+    """The corridor's lateral histogram where most of its lanes are seen."""
+    seen = np.zeros(len(profiles.station_m))
+    for c in found:
+        seen[c.line.station] += c.evidence.vehicles
+    at = np.flatnonzero(seen == seen.max())
+    heading = corridor.spine.heading_at(profiles.station_m[at])
+    peaks = [
+        float(np.mean(c.line.d[np.isin(c.line.station, at)]))
+        for c in found
+        if np.isin(c.line.station, at).any()
+    ]
+    mean = np.arctan2(np.sin(heading).mean(), np.cos(heading).mean())
+    return CrossSection(
+        float((90.0 - np.degrees(mean)) % 360.0),
+        density.offset_m,
+        density.value[at].mean(axis=0),
+        np.array(peaks),
+    )

@@ -1,0 +1,109 @@
+"""Evidence: the passes a camera remembers, in bounded memory, however long it runs."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.core.tables import TRACK_DTYPE
+from geoorbit_ros.lanes.passes import (
+    MAX_GAP_S,
+    MAX_PIECE_S,
+    Passes,
+    concatenate,
+    condense,
+    empty_passes,
+    select,
+)
+
+MAX_PASSES = 4000
+"""Newest passes kept: half an hour of a busy motorway, a day of a quiet road."""
+HALF_LIFE_S = 6 * 3600.0
+"""Time after which a pass counts half: a work zone shows by the next rush hour."""
+MAX_SIGMA_M = 3.0
+"""Rows less certain than this tell nothing about lanes."""
+
+
+class Evidence:
+    """Collects track rows and turns finished tracks into passes."""
+
+    def __init__(
+        self,
+        max_passes: int = MAX_PASSES,
+        half_life_s: float = HALF_LIFE_S,
+        max_sigma_m: float = MAX_SIGMA_M,
+    ) -> None:
+        self._max_passes = max_passes
+        self._half_life_s = half_life_s
+        self._max_sigma_m = max_sigma_m
+        self._epoch_ns: int | None = None
+        self._now_ns = 0
+        self._stamps: list[int] = []
+        self._chunks: list[NDArray[np.void]] = []
+        self._open_s = np.empty(0)
+        self._open = np.empty(0, TRACK_DTYPE)
+        self._finished = empty_passes()
+
+    @property
+    def stamp_ns(self) -> int:
+        """Capture time of the newest row."""
+        return self._now_ns
+
+    def add(self, stamp_ns: int, rows: NDArray[np.void]) -> None:
+        """Take one frame; rows are copied."""
+        if self._epoch_ns is None:
+            self._epoch_ns = stamp_ns
+        self._now_ns = stamp_ns
+        if len(rows):
+            self._stamps.append(stamp_ns)
+            self._chunks.append(rows.copy())
+
+    def passes(self) -> tuple[Passes, NDArray[np.float64]]:
+        """All passes, finished ones first, and the worth (P,) of each by its age."""
+        now_s = self._settle()
+        open_passes = condense(self._open_s, self._open, self._max_sigma_m)
+        every = concatenate([self._finished, open_passes])
+        return every, self._worth(every, now_s)
+
+    @property
+    def finished_count(self) -> int:
+        """How many of the passes are finished; these come first and never change."""
+        return len(self._finished)
+
+    def _settle(self) -> float:
+        """Move tracks that have ended from rows to passes; return the time in seconds."""
+        epoch = self._epoch_ns or 0
+        now_s = (self._now_ns - epoch) * 1e-9
+        if self._chunks:
+            stamps = np.repeat(np.array(self._stamps), [len(c) for c in self._chunks])
+            time_s = np.concatenate([self._open_s, (stamps - epoch) * 1e-9])
+            rows = np.concatenate([self._open, *self._chunks])
+            self._stamps, self._chunks = [], []
+        else:
+            time_s, rows = self._open_s, self._open
+        order = np.lexsort((time_s, rows["track_id"]))
+        time_s, rows = time_s[order], rows[order]
+        new = np.append(True, (np.diff(rows["track_id"]) != 0) | (np.diff(time_s) > MAX_GAP_S))
+        if len(rows) == 0:
+            return now_s
+        track = np.cumsum(new) - 1
+        first = np.flatnonzero(new)
+        last = np.append(first[1:], len(rows)) - 1
+        ended = time_s[last] < now_s - MAX_GAP_S
+        block = np.floor((time_s - time_s[first][track]) / MAX_PIECE_S)
+        done = ended[track] | (block < block[last][track])
+        part = condense(time_s[done], rows[done], self._max_sigma_m)
+        self._finished = self._trim(concatenate([self._finished, part]), now_s)
+        self._open_s, self._open = time_s[~done], rows[~done]
+        return now_s
+
+    def _worth(self, passes: Passes, now_s: float) -> NDArray[np.float64]:
+        end = passes.time_s[passes.offset[1:] - 1] if len(passes) else np.empty(0)
+        return np.asarray(0.5 ** ((now_s - end) / self._half_life_s))
+
+    def _trim(self, passes: Passes, now_s: float) -> Passes:
+        worth = self._worth(passes, now_s)
+        keep = worth > 0.02
+        if keep.sum() > self._max_passes:
+            keep &= worth >= np.partition(worth, -self._max_passes)[-self._max_passes]
+        return passes if keep.all() else select(passes, keep)

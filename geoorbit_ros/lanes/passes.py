@@ -1,0 +1,235 @@
+"""Vehicle passes: tracks cleaned of stops, jumps and reversals, condensed to a few nodes each.
+
+A pass is one vehicle's smooth travel through the view. Detections of one vehicle are strongly
+correlated, so the frames of a fifth of a second are averaged into one node: thirty times less data
+and no information lost about where the lane is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.core.tables import FLAG_PREDICTED, FLAG_TRUNCATED
+
+MAX_GAP_S = 1.5
+"""A track silent for longer is taken for two vehicles: ids are reused after occlusions."""
+MAX_PIECE_S = 60.0
+"""Longer tracks are cut, so that a stopped vehicle can't hold memory for ever."""
+NODE_PERIOD_S = 0.2
+NODE_SPACING_M = 2.0
+MAX_SPEED_MPS = 70.0
+MIN_TRAVEL_M = 12.0
+"""Less net travel is a parked or jittering box, not traffic."""
+MAX_TURN_RAD = np.pi / 3
+"""Between neighbouring nodes; a sharper turn is an identity switch, not a vehicle."""
+MIN_SIGMA_M = 0.02
+LARGE_CLASSES = (5, 7)
+"""COCO bus and truck."""
+HEADING_BASE = 2
+"""Nodes to either side over which a heading is measured."""
+
+
+@dataclass(frozen=True, slots=True)
+class Passes:
+    """P passes with N nodes in all; nodes of pass p are `slice(offset[p], offset[p + 1])`.
+
+    Attributes:
+        xy: (N, 2) float64, map frame, metres, in travel order.
+        sigma: (N,) 1-sigma ground error of a node.
+        heading: (N,) radians, direction of travel.
+        time_s: (N,) capture time, seconds since the evidence's epoch.
+        offset: (P + 1,) int64.
+        large: (P,) bool, a bus or a truck.
+    """
+
+    xy: NDArray[np.float64]
+    sigma: NDArray[np.float64]
+    heading: NDArray[np.float64]
+    time_s: NDArray[np.float64]
+    offset: NDArray[np.int64]
+    large: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.offset) - 1
+
+    def pass_of_node(self) -> NDArray[np.int64]:
+        """(N,) index of the pass each node belongs to."""
+        return np.repeat(np.arange(len(self)), np.diff(self.offset))
+
+
+def empty_passes() -> Passes:
+    """No traffic yet."""
+    none = np.empty(0)
+    return Passes(np.empty((0, 2)), none, none, none, np.zeros(1, np.int64), np.empty(0, bool))
+
+
+def concatenate(parts: list[Passes]) -> Passes:
+    """Passes of several parts, in order."""
+    parts = [p for p in parts if len(p)]
+    if not parts:
+        return empty_passes()
+    if len(parts) == 1:
+        return parts[0]
+    counts = np.concatenate([np.diff(p.offset) for p in parts])
+    return Passes(
+        np.concatenate([p.xy for p in parts]),
+        np.concatenate([p.sigma for p in parts]),
+        np.concatenate([p.heading for p in parts]),
+        np.concatenate([p.time_s for p in parts]),
+        np.append(0, np.cumsum(counts)),
+        np.concatenate([p.large for p in parts]),
+    )
+
+
+def select(passes: Passes, keep: NDArray[np.bool_]) -> Passes:
+    """The passes for which `keep` (P,) holds."""
+    nodes = np.repeat(keep, np.diff(passes.offset))
+    counts = np.diff(passes.offset)[keep]
+    return Passes(
+        passes.xy[nodes],
+        passes.sigma[nodes],
+        passes.heading[nodes],
+        passes.time_s[nodes],
+        np.append(0, np.cumsum(counts)),
+        passes.large[keep],
+    )
+
+
+def condense(time_s: NDArray[np.float64], rows: NDArray[np.void], max_sigma_m: float) -> Passes:
+    """Passes in `rows`, which must be sorted by (track_id, time).
+
+    Args:
+        time_s: (N,) capture times.
+        rows: (N,) `TRACK_DTYPE`.
+        max_sigma_m: Rows less certain than this are left out.
+
+    Returns:
+        One pass per stretch of smooth travel of at least `MIN_TRAVEL_M`.
+    """
+    usable = (rows["flags"] & (FLAG_PREDICTED | FLAG_TRUNCATED)) == 0
+    usable &= rows["sigma"] <= max_sigma_m
+    time_s, rows = time_s[usable], rows[usable]
+    if len(rows) == 0:
+        return empty_passes()
+    xy = np.column_stack([rows["x"], rows["y"]]).astype(np.float64)
+    sigma = np.maximum(rows["sigma"].astype(np.float64), MIN_SIGMA_M)
+    new = _new_vehicle(time_s, rows["track_id"], xy, sigma)
+    nodes = _Nodes(
+        xy,
+        sigma,
+        time_s,
+        np.cumsum(new) - 1,
+        np.isin(rows["class_id"], LARGE_CLASSES).astype(np.float64),
+    )
+    begin = time_s[new][nodes.piece]
+    nodes = nodes.average(np.floor((time_s - begin) / NODE_PERIOD_S))
+    nodes = nodes.average(np.floor(_travel_m(nodes) / NODE_SPACING_M))
+    return _to_passes(_cut_at_turns(nodes))
+
+
+@dataclass(frozen=True, slots=True)
+class _Nodes:
+    """Rows on their way to becoming passes; `piece` numbers the vehicles and never decreases."""
+
+    xy: NDArray[np.float64]
+    sigma: NDArray[np.float64]
+    time_s: NDArray[np.float64]
+    piece: NDArray[np.int64]
+    large: NDArray[np.float64]
+
+    def starts(self) -> NDArray[np.bool_]:
+        return np.append(True, np.diff(self.piece) != 0)
+
+    def average(self, slot: NDArray[np.float64]) -> _Nodes:
+        """One node per run of equal `slot` within a piece, weighted by 1 / sigma^2."""
+        begin = self.starts()
+        begin[1:] |= np.diff(slot) != 0
+        first = np.flatnonzero(begin)
+        weight = self.sigma**-2
+        total = np.add.reduceat(weight, first)
+
+        def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
+            return np.asarray(np.add.reduceat(values * weight, first) / total)
+
+        # The error of a box is alike from frame to frame: averaging hardly reduces it, so a node
+        # keeps the (harmonic mean) error of its rows instead of dividing it by sqrt(n).
+        count = np.diff(np.append(first, len(weight)))
+        return _Nodes(
+            np.column_stack([mean(self.xy[:, 0]), mean(self.xy[:, 1])]),
+            np.sqrt(count / total),
+            mean(self.time_s),
+            self.piece[first],
+            mean(self.large),
+        )
+
+
+def _new_vehicle(
+    time_s: NDArray[np.float64],
+    track_id: NDArray[np.int32],
+    xy: NDArray[np.float64],
+    sigma: NDArray[np.float64],
+) -> NDArray[np.bool_]:
+    """Where a vehicle begins: another id, a long silence, or a jump that no vehicle can make."""
+    new = np.ones(len(time_s), bool)
+    dt = np.diff(time_s)
+    jump = np.hypot(*np.diff(xy, axis=0).T)
+    reach = MAX_SPEED_MPS * dt + 4.0 * (sigma[1:] + sigma[:-1]) + 0.5
+    new[1:] = (np.diff(track_id) != 0) | (dt > MAX_GAP_S) | (jump > reach)
+    begin = time_s[new][np.cumsum(new) - 1]
+    new[1:] |= np.diff(np.floor((time_s - begin) / MAX_PIECE_S)) > 0
+    return new
+
+
+def _travel_m(nodes: _Nodes) -> NDArray[np.float64]:
+    """Distance travelled since the piece began. Steps inside the noise don't count: a standing
+    vehicle would otherwise crawl away on its own jitter."""
+    step = np.append(0.0, np.hypot(*np.diff(nodes.xy, axis=0).T))
+    step[1:][step[1:] < 0.5 * (nodes.sigma[1:] + nodes.sigma[:-1])] = 0.0
+    begin = nodes.starts()
+    step[begin] = 0.0
+    travel = np.cumsum(step)
+    return np.asarray(travel - travel[begin][np.cumsum(begin) - 1])
+
+
+def _cut_at_turns(nodes: _Nodes) -> _Nodes:
+    """Cut where the direction of travel breaks: there an id went from one vehicle to another."""
+    step = np.diff(nodes.xy, axis=0)
+    inside = np.diff(nodes.piece) == 0
+    turn = np.abs(wrap_rad(np.diff(np.arctan2(step[:, 1], step[:, 0]))))
+    length = np.hypot(*step.T)
+    noise = 2.0 * np.maximum(nodes.sigma[1:], nodes.sigma[:-1])
+    real = inside & (length > noise)
+    cut = np.zeros(len(nodes.xy), bool)
+    cut[1:-1] = (turn > MAX_TURN_RAD) & real[1:] & real[:-1]
+    return _Nodes(
+        nodes.xy, nodes.sigma, nodes.time_s, np.cumsum(nodes.starts() | cut) - 1, nodes.large
+    )
+
+
+def _to_passes(nodes: _Nodes) -> Passes:
+    """Drop what is no traffic, measure headings."""
+    first = np.flatnonzero(nodes.starts())
+    last = np.append(first[1:], len(nodes.piece)) - 1
+    chord = nodes.xy[last] - nodes.xy[first]
+    counts = last - first + 1
+    noise = nodes.sigma[first] + nodes.sigma[last]
+    keep = (np.hypot(*chord.T) >= np.maximum(MIN_TRAVEL_M, 2.0 * noise)) & (counts >= 3)
+
+    at = np.arange(len(nodes.piece))
+    low = np.maximum(at - HEADING_BASE, np.repeat(first, counts))
+    high = np.minimum(at + HEADING_BASE, np.repeat(last, counts))
+    step = nodes.xy[high] - nodes.xy[low]
+    heading = np.arctan2(step[:, 1], step[:, 0])
+    large = np.add.reduceat(nodes.large, first) / counts > 0.5
+    every = Passes(
+        nodes.xy, nodes.sigma, heading, nodes.time_s, np.append(0, np.cumsum(counts)), large
+    )
+    return select(every, keep)
+
+
+def wrap_rad(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Angle in [-pi, pi)."""
+    return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)

@@ -1,0 +1,60 @@
+"""Boxes in, lane map out, without a ROS graph: what `geoorbit lanes`, report and benchmarks run.
+
+The node graph calls the same projector and mapper in the same order, frame by frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.calibration.ground import GroundProjector
+from geoorbit_ros.core.errors import NoTrafficError
+from geoorbit_ros.core.lanes import LaneMap
+from geoorbit_ros.core.tables import Frames
+from geoorbit_ros.lanes.mapper import LaneMapper
+
+StampedRows = tuple[int, NDArray[np.void]]
+"""Capture time in nanoseconds and the rows of one frame."""
+
+
+def project_frames(frames: Frames, projector: GroundProjector) -> Iterator[StampedRows]:
+    """Ground tracks of each frame, in time order.
+
+    Args:
+        frames: Frames of `PIXEL_TRACK_DTYPE`.
+        projector: A projector that has seen no frame yet.
+
+    Yields:
+        Stamp and (M,) `TRACK_DTYPE`, frames without vehicles included.
+    """
+    for k, stamp_ns in enumerate(frames.stamp_ns):
+        yield int(stamp_ns), projector.project(int(stamp_ns), frames.frame(k))
+
+
+def map_lanes(tracks: Iterable[StampedRows], mapper: LaneMapper, place: str = "tracks") -> LaneMap:
+    """Feed all tracks to the mapper and take its last map.
+
+    Args:
+        tracks: Frames of `TRACK_DTYPE` rows in time order.
+        mapper: A mapper that has seen no frame yet.
+        place: Where the tracks came from, for the error.
+
+    Raises:
+        NoTrafficError: No lane, not even a tentative one, can be seen in the tracks.
+    """
+    frame_count, ids = 0, set[int]()
+    for stamp_ns, rows in tracks:
+        mapper.add(stamp_ns, rows)
+        frame_count += 1
+        ids.update(rows["track_id"].tolist())
+    if not ids:
+        found = f"{frame_count} frames without a vehicle on the road"
+        raise NoTrafficError(place, found, "vehicles driving by")
+    lane_map = mapper.finish()
+    if not lane_map.lanes:
+        found = f"{len(ids)} tracks in {frame_count} frames, none driving along a lane"
+        raise NoTrafficError(place, found, "vehicles driving by")
+    return lane_map

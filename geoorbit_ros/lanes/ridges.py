@@ -1,0 +1,186 @@
+"""Ridges: lines along which many vehicles drive, in the density of traffic over (s, d)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from geoorbit_ros.lanes.profiles import Profiles
+
+BIN_M = 0.2
+ALONG_BLUR_STATIONS = 2.0
+LINK_M = 1.0
+"""A lane moves sideways by less than this from one station to the next."""
+MIN_SPACING_M = 2.4
+"""Closer bundles are one lane: lanes are 2.7 to 4.5 m wide (AASHTO Green Book; UK CD 127)."""
+MIN_STATIONS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Density:
+    """Vehicles per metre of width, (J stations, B bins).
+
+    Attributes:
+        offset_m: (B,) bin centres, metres left of the spine.
+        value: (J, B).
+    """
+
+    offset_m: NDArray[np.float64]
+    value: NDArray[np.float64]
+
+
+@dataclass(slots=True)
+class Ridge:
+    """A candidate lane: consecutive stations `first ... first + len(d) - 1` and its offset there."""
+
+    first: int
+    d: NDArray[np.float64]
+    height: NDArray[np.float64]
+
+    @property
+    def stations(self) -> NDArray[np.int64]:
+        """Station numbers."""
+        return np.arange(self.first, self.first + len(self.d))
+
+    @property
+    def weight(self) -> float:
+        """Total density along the ridge."""
+        return float(self.height.sum())
+
+
+def lateral_density(
+    profiles: Profiles, blur_m: float, trust: NDArray[np.float64]
+) -> Density:
+    """Density of vehicles over stations and lateral offset, smoothed by Gaussians.
+
+    Args:
+        profiles: Lateral positions.
+        blur_m: 1-sigma of the lateral kernel.
+        trust: (V,) factor on each vehicle's weight.
+    """
+    row, j = np.nonzero(profiles.seen)
+    d = profiles.d[row, j]
+    margin = 4.0 * blur_m + BIN_M
+    # Bin edges are tied to the data, not to the spine: a shifted spine gives shifted bins.
+    low = d.min() - margin
+    bins = int(np.ceil((d.max() + margin - low) / BIN_M)) + 1
+    at = (d - low) / BIN_M
+    left = np.floor(at).astype(np.int64)
+    share = at - left
+    weight = (profiles.weight * trust)[row]
+    shape = len(profiles.station_m), bins
+    cell = j * bins + left
+    grid = np.bincount(cell, weight * (1.0 - share), shape[0] * bins)
+    grid += np.bincount(cell + 1, weight * share, shape[0] * bins)
+    image = gaussian_filter1d(grid.reshape(shape), blur_m / BIN_M, axis=1, mode="constant")
+    image = gaussian_filter1d(image, ALONG_BLUR_STATIONS, axis=0, mode="constant")
+    return Density(low + BIN_M * np.arange(bins), image / BIN_M)
+
+
+def find_ridges(density: Density, min_height: float, prominence: float) -> list[Ridge]:
+    """Trace the crests of the density from station to station.
+
+    Args:
+        density: Vehicles per metre over (s, d).
+        min_height: Crests lower than this are noise, vehicles per metre.
+        prominence: A crest must rise above the saddle to a higher neighbour by this share.
+    """
+    open_ridges: list[tuple[int, list[float], list[float]]] = []
+    closed: list[Ridge] = []
+    for j, line in enumerate(density.value):
+        peak_d, peak_h = _crests(line, density.offset_m, min_height, prominence)
+        taken = np.zeros(len(peak_d), bool)
+        last = np.array([ridge[1][-1] for ridge in open_ridges])
+        still: list[tuple[int, list[float], list[float]]] = []
+        gap = np.abs(last[:, None] - peak_d[None, :])
+        for i, ridge in enumerate(open_ridges):
+            k = int(np.argmin(gap[i])) if len(peak_d) else -1
+            if k >= 0 and gap[i, k] <= LINK_M and int(np.argmin(gap[:, k])) == i:
+                ridge[1].append(float(peak_d[k]))
+                ridge[2].append(float(peak_h[k]))
+                taken[k] = True
+                still.append(ridge)
+            else:
+                closed.append(Ridge(ridge[0], np.array(ridge[1]), np.array(ridge[2])))
+        still.extend(
+            (j, [float(d)], [float(h)])
+            for d, h in zip(peak_d[~taken], peak_h[~taken], strict=True)
+        )
+        open_ridges = still
+    closed.extend(Ridge(r[0], np.array(r[1]), np.array(r[2])) for r in open_ridges)
+    return [r for r in _bridge(closed) if len(r.d) >= MIN_STATIONS]
+
+
+def separate(ridges: list[Ridge]) -> list[Ridge]:
+    """Cut the weaker of two ridges wherever they run closer than two lanes can."""
+    kept: list[Ridge] = []
+    for ridge in sorted(ridges, key=lambda r: -r.weight):
+        free = np.ones(len(ridge.d), bool)
+        for other in kept:
+            low = max(ridge.first, other.first)
+            high = min(ridge.first + len(ridge.d), other.first + len(other.d))
+            if high > low:
+                here = slice(low - ridge.first, high - ridge.first)
+                there = slice(low - other.first, high - other.first)
+                free[here] &= np.abs(ridge.d[here] - other.d[there]) >= MIN_SPACING_M
+        # The longest free stretch remains; crumbs do not.
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], free.astype(np.int8), [0]])))
+        runs = edges.reshape(-1, 2)
+        if len(runs):
+            a, b = runs[np.argmax(runs[:, 1] - runs[:, 0])]
+            if b - a >= MIN_STATIONS:
+                kept.append(Ridge(ridge.first + int(a), ridge.d[a:b], ridge.height[a:b]))
+    return kept
+
+
+def _crests(
+    line: NDArray[np.float64], offset: NDArray[np.float64], min_height: float, prominence: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Positions and heights of the prominent maxima of one station's density."""
+    inner = line[1:-1]
+    k = np.flatnonzero((inner > line[:-2]) & (inner >= line[2:]) & (inner >= min_height)) + 1
+    while len(k) > 1:
+        saddle = np.array([line[a : b + 1].min() for a, b in zip(k[:-1], k[1:], strict=True)])
+        lower = np.minimum(line[k[:-1]], line[k[1:]])
+        depth = 1.0 - saddle / lower
+        worst = int(np.argmin(depth))
+        if depth[worst] >= prominence:
+            break
+        k = np.delete(k, worst if line[k[worst]] < line[k[worst + 1]] else worst + 1)
+    below, at, above = line[k - 1], line[k], line[k + 1]
+    curve = below - 2.0 * at + above
+    shift = np.where(curve < 0.0, 0.5 * (below - above) / np.where(curve < 0.0, curve, -1.0), 0.0)
+    return offset[k] + shift * BIN_M, at
+
+
+def _bridge(ridges: list[Ridge]) -> list[Ridge]:
+    """Join ridges that continue each other across a stretch where the crest was lost."""
+    parts = sorted(ridges, key=lambda r: (r.first, r.d[0]))
+    done: list[Ridge] = []
+    while parts:
+        ridge = parts.pop(0)
+        while True:
+            end = ridge.first + len(ridge.d)
+            best = None
+            for k, other in enumerate(parts):
+                gap = other.first - end
+                if 0 <= gap <= 2 * MIN_STATIONS:
+                    miss = abs(other.d[0] - ridge.d[-1])
+                    if miss <= LINK_M and (best is None or miss < best[0]):
+                        best = (miss, k, gap)
+            if best is None:
+                break
+            other = parts.pop(best[1])
+            fill = np.linspace(0.0, 1.0, best[2] + 2)[1:-1]
+            ridge = Ridge(
+                ridge.first,
+                np.concatenate(
+                    [ridge.d, ridge.d[-1] + fill * (other.d[0] - ridge.d[-1]), other.d]
+                ),
+                np.concatenate([ridge.height, np.zeros(best[2]), other.height]),
+            )
+        done.append(ridge)
+    return done

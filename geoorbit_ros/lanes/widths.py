@@ -1,0 +1,106 @@
+"""Lane widths from the spacing of neighbouring centrelines.
+
+Lateral wander is no lane width (2 sigma of it is about 1 m): vehicles keep to the middle, so the
+distance from middle to middle of two neighbours is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.lanes.centerlines import Centerline
+
+TYPICAL_WIDTH_M = 3.5
+TYPICAL_SIGMA_M = 0.2
+"""Motor-traffic lanes the world over: 3.25 to 3.75 m (AASHTO Green Book; RAA; CD 127)."""
+SPREAD_M = 0.12
+"""1-sigma of lane widths within one road."""
+SHOULDER_M = 0.6
+"""A spacing larger than the road's by more than this contains a shoulder or a median."""
+SPACING_RANGE_M = (2.5, 4.9)
+PARALLEL = 0.02
+MIN_COMMON_STATIONS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Spacing:
+    """Distance between the middles of two neighbouring lanes.
+
+    Attributes:
+        lanes: Numbers of both.
+        value_m: Median over their common stations.
+        sigma_m: 1-sigma error.
+    """
+
+    lanes: tuple[int, int]
+    value_m: float
+    sigma_m: float
+
+
+def neighbour_spacings(
+    lines: Sequence[Centerline], step_m: float, numbers: Sequence[int]
+) -> list[Spacing]:
+    """Spacings of lanes that run beside each other in one corridor.
+
+    Args:
+        lines: Centrelines of the corridor.
+        step_m: Distance between stations.
+        numbers: The lanes' numbers, in the same order.
+    """
+    found = []
+    for a, line in enumerate(lines):
+        for b in range(a + 1, len(lines)):
+            spacing = _spacing(line, lines[b], step_m)
+            if spacing is not None:
+                value, sigma = spacing
+                found.append(Spacing((numbers[a], numbers[b]), value, sigma))
+    return found
+
+
+def _spacing(a: Centerline, b: Centerline, step_m: float) -> tuple[float, float] | None:
+    low = max(a.station[0], b.station[0])
+    high = min(a.station[-1], b.station[-1]) + 1
+    if high - low < MIN_COMMON_STATIONS:
+        return None
+    ia, ib = slice(low - a.station[0], high - a.station[0]), slice(low - b.station[0], high - b.station[0])
+    gap = np.abs(a.d[ia] - b.d[ib])
+    sigma = np.hypot(a.sigma_m[ia], b.sigma_m[ib])
+    use = (gap >= SPACING_RANGE_M[0]) & (gap <= SPACING_RANGE_M[1])
+    use &= np.abs(np.gradient(gap, step_m)) <= PARALLEL
+    if use.sum() < MIN_COMMON_STATIONS:
+        return None
+    return float(np.average(gap[use], weights=sigma[use] ** -2)), float(np.median(sigma[use]))
+
+
+def lane_widths(
+    count: int, spacings: Sequence[Spacing]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Width and its 1-sigma error of each of `count` lanes.
+
+    Two normal priors, one in the other: the road's width around the typical one, each lane's around
+    the road's.
+    """
+    value = np.array([s.value_m for s in spacings])
+    sigma = np.array([s.sigma_m for s in spacings])
+    road, road_sigma = TYPICAL_WIDTH_M, TYPICAL_SIGMA_M
+    if len(value):
+        narrow = value <= np.median(value) + SHOULDER_M
+        weight = 1.0 / (sigma[narrow] ** 2 + SPREAD_M**2)
+        total = TYPICAL_SIGMA_M**-2 + weight.sum()
+        road = (TYPICAL_WIDTH_M * TYPICAL_SIGMA_M**-2 + weight @ value[narrow]) / total
+        road_sigma = total**-0.5
+    width = np.empty(count)
+    error = np.empty(count)
+    for lane in range(count):
+        mine = [s for s in spacings if lane in s.lanes and s.value_m <= road + SHOULDER_M]
+        # A spacing is the mean of two widths: it tells about one of them with the other's spread.
+        weight = np.array([1.0 / (s.sigma_m**2 + SPREAD_M**2) for s in mine])
+        prior = 1.0 / (road_sigma**2 + SPREAD_M**2)
+        total = prior + weight.sum()
+        width[lane] = (prior * road + sum(w * s.value_m for w, s in zip(weight, mine, strict=True))) / total
+        error[lane] = total**-0.5
+    return width, error
