@@ -20,6 +20,7 @@ from geoorbit_ros.core.errors import TableError
 from geoorbit_ros.core.tables import FLAG_GROUND_POINT, PIXEL_TRACK_DTYPE, Frames
 from geoorbit_ros.storage.atomic import atomic_output
 from geoorbit_ros.storage.csv_columns import CsvColumns, read_columns
+from geoorbit_ros.storage.track_checks import first_bad_box, first_twin
 
 _TYPES = {
     "id": pa.float64(),  # trackers write '12' and '12.0'; float64 takes both and is exact
@@ -77,7 +78,10 @@ def read_track_csv(path: str | Path, image_size: tuple[int, int] | None = None) 
     rows["flags"] = np.where(ground, FLAG_GROUND_POINT, 0)
     offset = np.append(start, len(rows)).astype(np.int64)
     frames = Frames(stamp_ns[start], offset, rows)
-    _refuse_twins(columns, frames)
+    twin = first_twin(frames)
+    if twin is not None:
+        found = f"id {rows['track_id'][twin]} twice in one frame"
+        columns.fail(twin, "id", "every id at most once in a frame", found)
     return frames
 
 
@@ -94,11 +98,11 @@ def write_track_csv(path: str | Path, frames: Frames) -> None:
     if rows.dtype != PIXEL_TRACK_DTYPE:
         raise TableError(f"{path}, rows to write", rows.dtype.names, "the fields of tracks_px")
     ground = (rows["flags"] & FLAG_GROUND_POINT) != 0
-    numbers = np.stack([rows[k] for k in ("x", "y", "width", "height", "score")])
-    bad = ~np.isfinite(numbers).all(axis=0)
-    bad |= ~ground & ((rows["width"] <= 0) | (rows["height"] <= 0))
-    if bad.any():
-        k = int(np.argmax(bad))
+    k = first_bad_box(rows)
+    if k is None:
+        flat = ~ground & ((rows["width"] == 0) | (rows["height"] == 0))
+        k = int(np.argmax(flat)) if flat.any() else None
+    if k is not None:
         raise TableError(f"{path}, row {k} to write", rows[k], "finite numbers, a size above 0")
     number = np.repeat(np.arange(len(frames)), np.diff(frames.offset))
     # Decimal text, because a float64 of seconds since 1970 is exact to 0.2 microseconds only.
@@ -168,15 +172,3 @@ def _frame_starts(columns: CsvColumns, stamp_ns: NDArray[np.int64]) -> NDArray[n
             columns.fail(k + 1, "time", "a later time for another frame", here)
         columns.fail(k + 1, "frame_num", "frame numbers that go up with time", here)
     return np.append(0, np.flatnonzero(later) + 1)
-
-
-def _refuse_twins(columns: CsvColumns, frames: Frames) -> None:
-    """An id names one vehicle: twice in one frame it would tear every track in two."""
-    frame = np.repeat(np.arange(len(frames)), np.diff(frames.offset)) << 32
-    key = frame + frames.rows["track_id"]
-    order = np.argsort(key, kind="stable")
-    twin = np.flatnonzero(np.diff(key[order]) == 0)
-    if len(twin):
-        row = int(order[twin + 1].min())
-        found = f"id {frames.rows['track_id'][row]} twice in one frame"
-        columns.fail(row, "id", "every id at most once in a frame", found)
