@@ -16,6 +16,7 @@ DRIVER_OFFSET_M = 0.3
 """1-sigma of a driver's habitual offset from the lane's middle."""
 RESIDUAL_M = 0.25
 """1-sigma of a vehicle's wander about its own line plus what is left of the measuring noise."""
+ITERATIONS = 4
 LARGE_WEIGHT = 0.4
 """Trucks and buses locate a lane less well: their ground point depends on their unknown height."""
 
@@ -62,7 +63,7 @@ def fit_centerline(
     weight = members.inside * base[:, None]
     d = profiles.d[:, cut]
     centre, offset = ridge.d.copy(), np.zeros(len(d))
-    for _ in range(6):
+    for _ in range(ITERATIONS):
         residual = d - centre - offset[:, None]
         # Huber-type weights on single stations, then the shrunken mean offset of each vehicle.
         robust = weight / np.maximum(1.0, np.abs(residual) / (2.0 * RESIDUAL_M))
@@ -77,7 +78,7 @@ def fit_centerline(
         target = (robust * (d - offset[:, None])).sum(axis=0) / np.maximum(support, 1e-9)
         centre = _whittaker(target, support, stiffness_m / profiles.step_m)
     lanes_worth = members.inside.any(axis=1) @ base
-    enough = support >= max(0.8 * min(base.max(), 1.0), 0.15 * support.max())
+    enough = support >= max(0.8 * min(base.max(), 1.0), 0.2 * support.max())
     if not enough.any():
         return None
     k = np.flatnonzero(enough)
@@ -112,4 +113,4 @@ def _whittaker(
         if n > 3 else weight + 1e-9 + penalty * np.array([1.0, 4.0, 1.0])
     bands[1, 1:] = penalty * (np.r_[-2.0, np.full(n - 3, -4.0), -2.0] if n > 3 else -2.0)
     bands[0, 2:] = penalty
-    return np.asarray(solveh_banded(bands, weight * target))
+    return np.asarray(solveh_banded(bands, weight * target, check_finite=False))

@@ -9,8 +9,8 @@ import numpy as np
 from geoorbit_ros.core.lanes import Lane
 
 VEHICLE_SCALE = 2.2
-"""Confidence by traffic alone is 1 - exp(-vehicles / VEHICLE_SCALE): 0.37 for one, 0.90 for five."""
-MIN_VEHICLES = 5.0
+"""Confidence by traffic alone is 1 - exp(-vehicles / VEHICLE_SCALE): 0.37 for one, 0.93 for six."""
+MIN_VEHICLES = 6.0
 CONFIRM = 0.8
 KEEP_CONFIRMED = 0.5
 """A confirmed lane stays so until its confidence falls under this: no flicker at the threshold."""
@@ -21,14 +21,16 @@ class LaneEvidence:
     """What speaks for a lane.
 
     Attributes:
-        vehicles: Distinct vehicles that drove along it.
+        vehicles: Distinct vehicles that drove along it, those seen over a short stretch counting less.
         lane_share: Share of the traffic in its band that drives along it rather than across.
         length: Its length in units of the road's scale (about a second of travel).
+        presence: Traffic seen there as a share of the most seen in that band of the road.
     """
 
     vehicles: float
     lane_share: float
     length: float
+    presence: float
 
 
 def judge(lane: Lane, evidence: LaneEvidence, was_confirmed: bool) -> Lane:
@@ -61,4 +63,6 @@ def _confidence(vehicles: float, evidence: LaneEvidence) -> float:
     # Half the band's traffic driving across is common at a merge; nearly all of it is no lane.
     along = 1.0 / (1.0 + np.exp(-(evidence.lane_share - 0.3) / 0.06))
     long = 1.0 - np.exp(-evidence.length / 0.5)
-    return float(traffic * along * long)
+    # Where vehicles fade from sight, tails of broken tracks form bundles that are no lanes.
+    sight = 1.0 / (1.0 + np.exp(-(evidence.presence - 0.25) / 0.04))
+    return float(traffic * along * long * sight)

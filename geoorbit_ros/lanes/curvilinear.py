@@ -29,7 +29,6 @@ from geoorbit_ros.lanes.widths import lane_widths, neighbour_spacings
 BLUR_PER_SMOOTHING_M = 0.045
 PROMINENCE_PER_ANGLE = 0.5
 MIN_HEIGHT = 0.3
-SUPPORT_SHARE = 0.6
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +37,7 @@ class _Candidate:
 
     corridor: int
     line: Centerline
+    vehicles: float
     evidence: LaneEvidence
 
 
@@ -77,8 +77,13 @@ class CurvilinearEstimator:
             candidates.extend(found)
             if found:
                 sections.append(_cross_section(corridor, profiles, density, found))
-        lanes = _finish(candidates, corridors, grids, parameters.width_scale, self._registry)
-        return LaneMap(stamp_ns, self._registry.identify(lanes), tuple(sections))
+        lanes = _shapes(candidates, corridors, grids, parameters.width_scale)
+        matched = self._registry.match(lanes)
+        lanes = [
+            judge(lane, candidate.evidence, old is not None and old.status == "confirmed")
+            for lane, candidate, old in zip(lanes, candidates, matched, strict=True)
+        ]
+        return LaneMap(stamp_ns, self._registry.identify(lanes, matched), tuple(sections))
 
     def _corridors(self, passes: Passes) -> list[Corridor]:
         """Corridors along the known reference curves; traced anew when the evidence has doubled."""
@@ -100,28 +105,29 @@ def _candidates(
     prominence: float,
 ) -> list[_Candidate]:
     """The candidate lanes of one corridor, from left to right."""
-    support_m = SUPPORT_SHARE * corridor.scale_m
     found = []
     for ridge in separate(find_ridges(density, MIN_HEIGHT, prominence)):
-        members = find_members(profiles, ridge, support_m)
+        members = find_members(profiles, ridge, corridor.scale_m)
         line = fit_centerline(profiles, ridge, members, large, 2.0 * corridor.scale_m)
         if line is not None:
             length_m = (len(line.d) - 1) * profiles.step_m
             evidence = LaneEvidence(
-                members.vehicles, members.lane_share, length_m / corridor.scale_m
+                members.evidence,
+                members.lane_share,
+                length_m / corridor.scale_m,
+                members.presence,
             )
-            found.append(_Candidate(number, line, evidence))
+            found.append(_Candidate(number, line, members.vehicles, evidence))
     return sorted(found, key=lambda c: -float(np.mean(c.line.d)))
 
 
-def _finish(
+def _shapes(
     candidates: list[_Candidate],
     corridors: list[Corridor],
     grids: list[Profiles],
     width_scale: float,
-    registry: LaneRegistry,
 ) -> list[Lane]:
-    """Widths, boundaries and verdicts."""
+    """Widths and boundaries; ids and verdicts are still open."""
     spacings = []
     for k, grid in enumerate(grids):
         mine = [i for i, c in enumerate(candidates) if c.corridor == k]
@@ -133,21 +139,21 @@ def _finish(
         spine = corridors[candidate.corridor].spine
         s = grids[candidate.corridor].station_m[candidate.line.station]
         d, half = candidate.line.d, 0.5 * width_scale * width[i]
-        lane = Lane(
-            0,
-            spine.to_map(s, d),
-            spine.to_map(s, d + half),
-            spine.to_map(s, d - half),
-            2.0 * half,
-            width_scale * float(error[i]),
-            0.0,
-            "tentative",
-            candidate.evidence.vehicles,
-            0,
-            float(np.mean(candidate.line.sigma_m)),
+        lanes.append(
+            Lane(
+                lane_id=0,
+                centerline_m=spine.to_map(s, d),
+                left_m=spine.to_map(s, d + half),
+                right_m=spine.to_map(s, d - half),
+                width_m=2.0 * half,
+                width_sigma_m=width_scale * float(error[i]),
+                confidence=0.0,
+                status="tentative",
+                vehicles=candidate.vehicles,
+                sigma_m=float(np.mean(candidate.line.sigma_m)),
+            )
         )
-        lanes.append(judge(lane, candidate.evidence, registry.was_confirmed(lane)))
-    return [lane for lane in lanes if lane.confidence > 0.0]
+    return lanes
 
 
 def _cross_section(
@@ -156,7 +162,7 @@ def _cross_section(
     """The corridor's lateral histogram where most of its lanes are seen."""
     seen = np.zeros(len(profiles.station_m))
     for c in found:
-        seen[c.line.station] += c.evidence.vehicles
+        seen[c.line.station] += c.vehicles
     at = np.flatnonzero(seen == seen.max())
     heading = corridor.spine.heading_at(profiles.station_m[at])
     peaks = [

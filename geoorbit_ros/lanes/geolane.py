@@ -39,12 +39,12 @@ class GeoLaneEstimator:
     def __init__(self) -> None:
         self._registry = LaneRegistry()
         self._stamps: list[int] = []
-        self._frames: list[NDArray[np.void]] = []
+        self._frames: list[bytes] = []
 
     def add(self, stamp_ns: int, rows: NDArray[np.void]) -> None:
         """Take one frame of `TRACK_DTYPE` rows; stamps increase from call to call."""
         self._stamps.append(stamp_ns)
-        self._frames.append(rows.copy())
+        self._frames.append(rows.tobytes())
 
     def lanes(self, parameters: LaneParameters) -> LaneMap:
         """Lanes of the observation period. Every lane is `confirmed`: the paper knows no doubt."""
@@ -53,9 +53,9 @@ class GeoLaneEstimator:
         stamp_ns = self._stamps[-1]
         first = int(np.searchsorted(self._stamps, stamp_ns - MEMORY_S * 1e9))
         self._stamps, self._frames = self._stamps[first:], self._frames[first:]
-        rows = np.concatenate(self._frames) if self._frames else np.empty(0, TRACK_DTYPE)
+        rows = np.frombuffer(b"".join(self._frames), TRACK_DTYPE)
         lanes, sections = detect(rows, parameters)
-        return LaneMap(stamp_ns, self._registry.identify(lanes), tuple(sections))
+        return LaneMap(stamp_ns, self._registry.identify(lanes, self._registry.match(lanes)), tuple(sections))
 
 
 def detect(

@@ -13,9 +13,17 @@ from geoorbit_ros.lanes.ridges import MIN_SPACING_M, Ridge
 MAX_OFFSET_M = 0.5 * MIN_SPACING_M
 PARALLEL = 0.05
 """Largest slope of a vehicle against its lane; a lane change in 4 s at 30 m/s peaks at 0.05."""
+MIN_SUPPORT = 0.6
+"""Length in road scales that a vehicle must be seen in a lane to be its member."""
+BAND_M = 6.0
+"""Half-width of the band, a lane and its neighbours, whose traffic tells how far the camera sees."""
 SAME_VEHICLE_S = 0.6
 """Headways in one lane are longer than this (HCM: saturation headway about 2 s), so two passes
 closer in time are one vehicle whose track was broken or doubled."""
+
+
+FULL_SUPPORT = 1.25
+"""Length in road scales over which a vehicle must be seen in a lane to count in full."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,41 +31,66 @@ class Members:
     """The vehicles of one candidate lane.
 
     Attributes:
-        inside: (V, J') bool, the vehicle drives in the lane, along it, at these stations of the ridge.
-        crossing: (V, J') bool, the vehicle is in the lane's band but on its way across.
+        inside: (V, J') bool, the vehicle drives along the lane at these stations of the ridge.
         vehicles: Number of distinct vehicles, old ones counting less.
-        lane_share: Share of the traffic in the band that drives along the lane.
+        evidence: The same, a vehicle seen over a short stretch counting less.
+        lane_share: Share of the traffic in the lane's band that drives along it, not across.
+        presence: Traffic in and beside the lane, as a share of the most seen in that band anywhere
+            along the corridor; small where vehicles fade from the camera's sight.
     """
 
     inside: NDArray[np.bool_]
-    crossing: NDArray[np.bool_]
     vehicles: float
+    evidence: float
     lane_share: float
+    presence: float
 
 
-def find_members(profiles: Profiles, ridge: Ridge, support_m: float) -> Members:
-    """Vehicles that drive along `ridge` for at least `support_m`."""
+def find_members(profiles: Profiles, ridge: Ridge, scale_m: float) -> Members:
+    """Vehicles that drive along `ridge` for a while.
+
+    Args:
+        profiles: All vehicles of the corridor.
+        ridge: The candidate lane.
+        scale_m: The corridor's scale.
+    """
     cut = slice(ridge.first, ridge.first + len(ridge.d))
     smooth = np.gradient(ridge.d, profiles.step_m)
-    near = profiles.seen[:, cut] & (np.abs(profiles.d[:, cut] - ridge.d) <= MAX_OFFSET_M)
+    offset = profiles.d[:, cut] - ridge.d
+    near = profiles.seen[:, cut] & (np.abs(offset) <= MAX_OFFSET_M)
     along = near & (np.abs(profiles.slope[:, cut] - smooth) <= PARALLEL)
-    enough = along.sum(axis=1) * profiles.step_m >= support_m
+    enough = along.sum(axis=1) * profiles.step_m >= MIN_SUPPORT * scale_m
     inside = along & enough[:, None]
-    crossing = near & ~inside
     mass = float(profiles.weight @ inside.sum(axis=1))
-    stray = float(profiles.weight @ crossing.sum(axis=1))
+    stray = float(profiles.weight @ (near & ~inside).sum(axis=1))
+    wanted_m = min(FULL_SUPPORT * scale_m, 0.5 * len(ridge.d) * profiles.step_m)
+    vehicles, evidence = _distinct(profiles, inside, enough, wanted_m)
     return Members(
-        inside,
-        crossing,
-        _distinct(profiles.t_ref_s[enough], profiles.weight[enough]),
-        mass / max(mass + stray, 1e-9),
+        inside, vehicles, evidence, mass / max(mass + stray, 1e-9), _presence(profiles, ridge)
     )
 
 
-def _distinct(t_ref_s: NDArray[np.float64], weight: NDArray[np.float64]) -> float:
-    """Vehicles among passes, by the time at which each is at the corridor's middle."""
-    if len(t_ref_s) == 0:
-        return 0.0
-    order = np.argsort(t_ref_s, kind="stable")
-    new = np.append(True, np.diff(t_ref_s[order]) > SAME_VEHICLE_S)
-    return float(np.maximum.reduceat(weight[order], np.flatnonzero(new)).sum())
+def _presence(profiles: Profiles, ridge: Ridge) -> float:
+    middle = float(np.median(ridge.d))
+    band = profiles.seen & (np.abs(profiles.d - middle) <= BAND_M)
+    traffic = profiles.weight @ band
+    cut = slice(ridge.first, ridge.first + len(ridge.d))
+    return float(np.median(traffic[cut]) / max(traffic.max(), 1e-9))
+
+
+def _distinct(
+    profiles: Profiles,
+    inside: NDArray[np.bool_],
+    member: NDArray[np.bool_],
+    wanted_m: float,
+) -> tuple[float, float]:
+    """Vehicles among passes, told apart by when each is at the corridor's middle."""
+    if not member.any():
+        return 0.0, 0.0
+    order = np.flatnonzero(member)[np.argsort(profiles.t_ref_s[member], kind="stable")]
+    gap = np.diff(profiles.t_ref_s[order])
+    first = np.flatnonzero(np.append(True, gap > SAME_VEHICLE_S))
+    weight = np.maximum.reduceat(profiles.weight[order], first)
+    stations = np.logical_or.reduceat(inside[order], first, axis=0).sum(axis=1)
+    share = np.minimum(1.0, stations * profiles.step_m / wanted_m)
+    return float(weight.sum()), float(weight @ share)
