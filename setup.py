@@ -24,6 +24,8 @@ def folder(source: str, target: Path) -> list[tuple[str, list[str]]]:
 
 
 setup(
+    # Not in setup.cfg: there it becomes an object that colcon cannot read back.
+    python_requires=">=3.11,<3.13",
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (SHARE, ["package.xml"]),
