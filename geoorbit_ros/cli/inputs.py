@@ -1,0 +1,191 @@
+"""The options that name one camera's data, and the data they name."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from geoorbit_ros.core.errors import InputFileError, ParameterError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from geoorbit_ros.calibration.box_projector import BoxProjector
+    from geoorbit_ros.calibration.datum import Datum
+    from geoorbit_ros.calibration.homography import Homography
+    from geoorbit_ros.core.tables import Frames
+    from geoorbit_ros.lanes.mapper import LaneMapper
+    from geoorbit_ros.lanes.pipeline import StampedRows
+
+
+class EstimatorName(StrEnum):
+    """Lane estimators by name."""
+
+    CURVILINEAR = "curvilinear"
+    GEOLANE = "geolane"
+
+
+TracksOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--tracks", help="Tracked boxes: a CSV with id,time,frame_num,class,conf,x,y,w,h."
+    ),
+]
+BagOption = Annotated[
+    Path | None, typer.Option("--bag", help="Tracked boxes: a rosbag2 bag with a tracks_px topic.")
+]
+CalibrationOption = Annotated[
+    Path,
+    typer.Option(
+        "--calibration", help="Control points: a CSV with pixel_x,pixel_y,latitude,longitude."
+    ),
+]
+CameraIdOption = Annotated[
+    str | None, typer.Option("--camera-id", help="Which camera, for a bag that holds several.")
+]
+EstimatorOption = Annotated[
+    EstimatorName,
+    typer.Option("--estimator", help="curvilinear for use, geolane for the paper's baseline."),
+]
+ImageSizeOption = Annotated[
+    str, typer.Option("--image-size", metavar="WxH", help="Size of the camera's image in pixels.")
+]
+DatumOption = Annotated[
+    str | None,
+    typer.Option(
+        "--datum",
+        metavar="LAT,LON",
+        help="Origin of the local map; default: the middle of the control points.",
+    ),
+]
+UpdatePeriodOption = Annotated[
+    float,
+    typer.Option("--update-period-s", min=0.1, help="Data time between two updates of the map."),
+]
+
+
+@dataclass(frozen=True, slots=True)
+class CameraInput:
+    """One camera's tracks and calibration, read and checked.
+
+    Attributes:
+        camera_id: From the option, the bag's topic, or the track file's name.
+        source: The CSV file or bag.
+        calibration: The control point file.
+        frames: Tracked boxes, `PIXEL_TRACK_DTYPE`.
+        homography: The road plane.
+        datum: Origin of the map frame.
+        image_size: (width, height) in pixels.
+    """
+
+    camera_id: str
+    source: Path
+    calibration: Path
+    frames: Frames
+    homography: Homography
+    datum: Datum
+    image_size: tuple[int, int]
+
+    def projector(self) -> BoxProjector:
+        """A fresh projector from boxes to the road."""
+        from geoorbit_ros.calibration.box_projector import BoxProjector
+
+        return BoxProjector(self.homography, self.image_size)
+
+    def ground_tracks(self) -> Iterator[StampedRows]:
+        """Ground tracks frame by frame, under a progress bar."""
+        from geoorbit_ros.cli.console import track
+        from geoorbit_ros.lanes.pipeline import project_frames
+
+        tracks = project_frames(self.frames, self.projector())
+        return track(tracks, "finding lanes", total=len(self.frames))
+
+
+def load_camera(
+    tracks: Path | None,
+    bag: Path | None,
+    calibration: Path,
+    camera_id: str | None,
+    image_size: str,
+    datum: str | None,
+) -> CameraInput:
+    """Read what the options name.
+
+    Raises:
+        GeoOrbitError: An option, a file or a value in it is wrong.
+    """
+    from geoorbit_ros.calibration.control_points import read_control_points
+    from geoorbit_ros.calibration.homography import fit_homography
+    from geoorbit_ros.cli.console import status
+
+    size = parse_image_size(image_size)
+    origin = parse_datum(datum)
+    if (tracks is None) == (bag is None):
+        found = "neither" if tracks is None else "both"
+        raise ParameterError("options --tracks and --bag", found, "exactly one of them")
+    points = read_control_points(calibration, origin)
+    if points.datum is None:
+        expected = "--datum LAT,LON: where x_m = y_m = 0 is"
+        raise InputFileError(str(calibration), "control points in metres", expected)
+    homography = fit_homography(points)
+    source = tracks or bag
+    assert source is not None
+    with status(f"reading {source}"):
+        if tracks:
+            from geoorbit_ros.storage.track_csv import read_track_csv
+
+            name, frames = tracks.absolute().parent.name or "camera", read_track_csv(tracks, size)
+        else:
+            from geoorbit_ros.storage.bag import read_track_bag
+
+            content = read_track_bag(source, camera_id)
+            name, frames = content.camera_id, content.frames
+    return CameraInput(
+        camera_id or name, source, calibration, frames, homography, points.datum, size
+    )
+
+
+def make_mapper(estimator: EstimatorName, update_period_s: float) -> LaneMapper:
+    """A fresh mapper with the default detection parameters."""
+    from geoorbit_ros.lanes.factory import make_estimator
+    from geoorbit_ros.lanes.mapper import LaneMapper
+    from geoorbit_ros.lanes.parameters import LaneParameters
+
+    return LaneMapper(make_estimator(estimator.value), LaneParameters(), update_period_s)
+
+
+def parse_image_size(text: str) -> tuple[int, int]:
+    """(width, height) of `1920x1080`.
+
+    Raises:
+        ParameterError: Not two whole numbers from 16 to 32768.
+    """
+    parts = text.lower().split("x")
+    if len(parts) != 2 or not all(
+        p.isascii() and p.isdigit() and 16 <= int(p) <= 32768 for p in parts
+    ):
+        raise ParameterError("option --image-size", repr(text), "WIDTHxHEIGHT such as 1920x1080")
+    return int(parts[0]), int(parts[1])
+
+
+def parse_datum(text: str | None) -> Datum | None:
+    """The datum of `43.07,-89.40`.
+
+    Raises:
+        ParameterError: Not a latitude and a longitude in degrees.
+    """
+    from geoorbit_ros.calibration.datum import Datum
+
+    if text is None:
+        return None
+    try:
+        latitude, longitude = (float(part) for part in text.split(","))
+    except ValueError:
+        latitude = longitude = float("nan")
+    if not (abs(latitude) <= 90 and abs(longitude) <= 180):
+        raise ParameterError("option --datum", repr(text), "LATITUDE,LONGITUDE in degrees")
+    return Datum(latitude, longitude)

@@ -1,0 +1,116 @@
+"""`geoorbit report`: one HTML page about one camera's lanes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from geoorbit_ros.cli.inputs import (
+    BagOption,
+    CalibrationOption,
+    CameraIdOption,
+    CameraInput,
+    DatumOption,
+    EstimatorName,
+    EstimatorOption,
+    ImageSizeOption,
+    TracksOption,
+    UpdatePeriodOption,
+    load_camera,
+    make_mapper,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from geoorbit_ros.core.lanes import Lane, LaneMap
+    from geoorbit_ros.report.recording import Recording
+
+
+def report(
+    calibration: CalibrationOption,
+    out: Annotated[Path, typer.Option("--out", help="Where the page goes: report.html.")],
+    tracks: TracksOption = None,
+    bag: BagOption = None,
+    lanes: Annotated[
+        Path | None, typer.Option("--lanes", help="Show these lanes instead of finding them.")
+    ] = None,
+    truth: Annotated[
+        Path | None, typer.Option("--truth", help="True lanes, to draw and to score against.")
+    ] = None,
+    camera_id: CameraIdOption = None,
+    estimator: EstimatorOption = EstimatorName.CURVILINEAR,
+    image_size: ImageSizeOption = "1920x1080",
+    datum: DatumOption = None,
+    update_period_s: UpdatePeriodOption = 5.0,
+) -> None:
+    """Write one HTML page with pictures: vehicle paths, lanes over them, widths, confidence.
+
+    The page needs no other file and no network. Without --lanes the lanes are found as
+    [bold]geoorbit lanes[/bold] finds them.
+
+    Example: [bold]geoorbit report --tracks tracks.csv --calibration calibration.csv
+    --truth truth.geojson --out report.html[/bold]
+    """
+    from geoorbit_ros.cli.console import console
+    from geoorbit_ros.lanes.geojson import read_lane_file, read_lanes
+    from geoorbit_ros.lanes.pipeline import map_lanes
+    from geoorbit_ros.report.recording import Recording
+    from geoorbit_ros.report.words import summary_sentence
+
+    camera = load_camera(tracks, bag, calibration, camera_id, image_size, datum)
+    true = read_lanes(truth, camera.datum).lanes if truth else None
+    recording = Recording()
+    ground = recording.tee(camera.ground_tracks())
+    if lanes:
+        file = read_lane_file(lanes, camera.datum)
+        lane_map = file.lane_map
+        for _ in ground:
+            pass
+        method = f"{file.estimator or 'unknown'}, read from {lanes.name}"
+    else:
+        lane_map = map_lanes(ground, make_mapper(estimator, update_period_s), str(camera.source))
+        method = describe_method(estimator.value, update_period_s)
+    save_report(out, camera, lane_map, recording, method, true)
+    console.print(f"{summary_sentence(lane_map.lanes)} Wrote {out}", soft_wrap=True)
+
+
+def save_report(
+    out: Path,
+    camera: CameraInput,
+    lane_map: LaneMap,
+    recording: Recording,
+    method: str,
+    truth: Sequence[Lane] | None = None,
+) -> None:
+    """Write the page for lanes that are already known."""
+    from geoorbit_ros.report.page import ReportInput, write_report
+    from geoorbit_ros.report.provenance import provenance
+    from geoorbit_ros.storage.atomic import atomic_output
+
+    made = provenance(
+        source=camera.source,
+        calibration=camera.calibration,
+        recording=recording,
+        datum=camera.datum,
+        image_size=camera.image_size,
+        method=method,
+    )
+    content = ReportInput(
+        camera.camera_id, lane_map, recording, camera.homography, camera.image_size, made, truth
+    )
+    with atomic_output(out) as path:
+        write_report(path, content)
+
+
+def describe_method(estimator: str, update_period_s: float) -> str:
+    """Estimator and parameters in one line."""
+    from geoorbit_ros.lanes.parameters import LaneParameters
+
+    theta = LaneParameters()
+    return (
+        f"{estimator}, smoothing {theta.smoothing:g}, angle {theta.angle:g}, "
+        f"width scale {theta.width_scale:g}, update period {update_period_s:g} s"
+    )

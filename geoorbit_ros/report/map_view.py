@@ -1,0 +1,118 @@
+"""The road from above: vehicle paths, lanes, truth and visible range, level on the page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.core.lanes import Lane, LaneMap
+from geoorbit_ros.report.lane_drawing import direction_groups, draw_lanes, draw_paths
+from geoorbit_ros.report.svg import Canvas, nice_step
+
+WIDTH_PX = 1040.0
+MIN_HEIGHT_PX, MAX_HEIGHT_PX = 260.0, 760.0
+MAX_STRETCH = 4
+ELONGATED = 1.6
+"""A road this much longer than wide is turned to lie along the page; others keep north up."""
+
+
+@dataclass(frozen=True, slots=True)
+class MapFrame:
+    """From map metres to pixels of the picture.
+
+    Attributes:
+        turn: (2, 2) rotation that brings the road level.
+        middle_m: (2,) middle of the picture, in turned metres.
+        scale: (2,) pixels per metre along and across the page.
+        size_px: (width, height) of the picture.
+    """
+
+    turn: NDArray[np.float64]
+    middle_m: NDArray[np.float64]
+    scale: NDArray[np.float64]
+    size_px: tuple[float, float]
+
+    def to_pixel(self, local_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(N, 2) pixels of (N, 2) metres."""
+        flat = (local_m @ self.turn.T - self.middle_m) * self.scale * np.array([1.0, -1.0])
+        return np.asarray(flat + np.array(self.size_px) / 2)
+
+    def inside(self, pixel: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which (N, 2) pixels lie in the picture, a margin away from its border."""
+        return np.asarray(np.all((pixel > 14) & (pixel < np.array(self.size_px) - 14), axis=1))
+
+    @property
+    def stretch(self) -> float:
+        """How much wider than true the road is drawn; 1 when to scale."""
+        return float(self.scale[1] / self.scale[0])
+
+
+def fit_map_frame(points_m: NDArray[np.float64]) -> MapFrame:
+    """A frame that holds all of (N, 2) metres, the long way along the page."""
+    centred = points_m - points_m.mean(axis=0)
+    _, extent, axes = np.linalg.svd(centred, full_matrices=False)
+    turn = np.eye(2)
+    elongated = bool(extent[0] > ELONGATED * extent[1])
+    if elongated:
+        along = axes[0] * (1.0 if axes[0, 0] + 1e-6 * axes[0, 1] >= 0 else -1.0)
+        turn = np.array([[along[0], along[1]], [-along[1], along[0]]])
+    flat = points_m @ turn.T
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    span = np.maximum(high - low, 5.0) * 1.04 + 6.0
+    scale = min(WIDTH_PX / span[0], MAX_HEIGHT_PX / span[1])
+    stretch = 1
+    if elongated:
+        stretch = int(np.clip(MIN_HEIGHT_PX // (scale * span[1]) + 1, 1, MAX_STRETCH))
+    scales = np.array([scale, scale * stretch])
+    height = float(np.clip(span[1] * scales[1], 160.0, MAX_HEIGHT_PX))
+    return MapFrame(turn, (low + high) / 2, scales, (WIDTH_PX, height))
+
+
+def map_view(
+    lane_map: LaneMap, paths: Sequence[NDArray[np.float64]], truth: Sequence[Lane] = ()
+) -> tuple[Canvas, MapFrame, int]:
+    """Draw the map.
+
+    Returns:
+        The picture, its frame, and how many vehicle paths it shows.
+    """
+    lines = [x for lane in lane_map.lanes for x in (lane.left_m, lane.right_m)]
+    lines += [lane.centerline_m for lane in truth]
+    frame = fit_map_frame(np.vstack(lines))
+    canvas = Canvas(*frame.size_px, "Map of the lanes with the paths of the vehicles")
+    colour = direction_groups(lane_map.lanes)
+    canvas.open_clip("map-clip", 0, 0, *frame.size_px)
+    if len(lane_map.visible_m):
+        canvas.area(frame.to_pixel(lane_map.visible_m), "visible")
+    drawn = draw_paths(canvas, paths, frame.to_pixel, lane_map.lanes, colour)
+    for lane in truth:
+        for line in (lane.left_m, lane.right_m):
+            canvas.line(frame.to_pixel(line), "truth")
+        canvas.line(frame.to_pixel(lane.centerline_m), "truth middle", f"True lane {lane.lane_id}")
+    draw_lanes(canvas, lane_map.lanes, frame.to_pixel, colour, frame.inside)
+    canvas.close()
+    _scale_bar(canvas, frame)
+    _north(canvas, frame)
+    return canvas, frame, drawn
+
+
+def _scale_bar(canvas: Canvas, frame: MapFrame) -> None:
+    length = nice_step(frame.size_px[0] / frame.scale[0] / 6, 1)
+    x0, y0 = 16.0, frame.size_px[1] - 16.0
+    x1 = x0 + length * frame.scale[0]
+    canvas.line(np.array([[x0, y0 - 5], [x0, y0], [x1, y0], [x1, y0 - 5]]), "axis")
+    canvas.text((x0 + x1) / 2, y0 - 6, f"{length:g} m", "label", "middle")
+
+
+def _north(canvas: Canvas, frame: MapFrame) -> None:
+    middle = np.array([frame.size_px[0] - 26.0, 30.0])
+    # The compass is not stretched: it shows the direction of north on the level road.
+    north = frame.turn @ np.array([0.0, 1.0]) * np.array([1.0, -1.0])
+    side = np.array([-north[1], north[0]])
+    tip, tail = middle + 16 * north, middle - 10 * north
+    canvas.area(np.stack((tip, tail + 6 * side, middle - 6 * north, tail - 6 * side)), "north")
+    at = middle + 24 * north
+    canvas.text(at[0], at[1] + 4, "N", "label", "middle")

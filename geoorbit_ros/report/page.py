@@ -1,0 +1,205 @@
+"""The report: one HTML page that needs nothing else, readable by a traffic engineer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+
+from geoorbit_ros.calibration.camera_pose import recover_pose
+from geoorbit_ros.calibration.homography import Homography
+from geoorbit_ros.core.errors import CalibrationError
+from geoorbit_ros.core.lanes import Lane, LaneMap
+from geoorbit_ros.metrics.score import score_lanes
+from geoorbit_ros.report.image_view import image_view
+from geoorbit_ros.report.map_view import map_view
+from geoorbit_ros.report.recording import Recording
+from geoorbit_ros.report.section_view import section_view
+from geoorbit_ros.report.tables import calibration_table, facts, lane_table, score_table
+from geoorbit_ros.report.words import (
+    compass,
+    count,
+    missing_sentence,
+    number,
+    score_sentences,
+    summary_sentence,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ReportInput:
+    """Everything the page shows.
+
+    Attributes:
+        camera_id: Name of the camera.
+        lane_map: The lanes found.
+        recording: The vehicles' ground tracks.
+        homography: The camera's calibration.
+        image_size: (width, height) in pixels.
+        provenance: Names and values that say how the map was made.
+        truth: True lanes, when known.
+    """
+
+    camera_id: str
+    lane_map: LaneMap
+    recording: Recording
+    homography: Homography
+    image_size: tuple[int, int]
+    provenance: Sequence[tuple[str, str]]
+    truth: Sequence[Lane] | None = None
+
+
+def write_report(path: Path, content: ReportInput) -> None:
+    """Write the page; the same input gives the same bytes."""
+    path.write_text(report_html(content), encoding="utf-8")
+
+
+def report_html(content: ReportInput) -> str:
+    """The page as text."""
+    lanes = content.lane_map.lanes
+    css = files("geoorbit_ros.report").joinpath("page.css").read_text(encoding="utf-8")
+    title = f"Lanes of {content.camera_id}"
+    tentative = [missing_sentence(lane) for lane in lanes if lane.status == "tentative"]
+    parts = [
+        f"<header><p class='kicker'>Lane report</p><h1>{escape(title)}</h1>"
+        f"<p class='lead'>{escape(summary_sentence(lanes))}</p>{_tiles(content)}</header>",
+        _section("Lanes", lane_table(lanes) + _list(tentative)),
+        _pictures(content),
+        _histograms(content),
+    ]
+    if content.truth is not None:
+        score = score_lanes(lanes, content.truth)
+        parts.append(
+            _section("Against the truth", _list(score_sentences(score)) + score_table(score))
+        )
+    parts.append(_calibration(content))
+    parts.append(_section("How this was made", facts(content.provenance)))
+    return (
+        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{escape(title)}</title><style>{css}</style></head>"
+        f"<body><main>{''.join(parts)}</main></body></html>\n"
+    )
+
+
+def _tiles(content: ReportInput) -> str:
+    lane_map, recording = content.lane_map, content.recording
+    confirmed = len(lane_map.confirmed)
+    tiles = [
+        (str(confirmed), "lane confirmed" if confirmed == 1 else "lanes confirmed"),
+        (str(len(lane_map.lanes) - confirmed), "tentative"),
+        (f"{recording.track_count:,}", "vehicle tracks"),
+        (_duration(recording.duration_s), "of traffic"),
+    ]
+    tiles += [(f"{far:.0f} m", "is how far the camera sees lanes") for far in _range_m(content)[1:]]
+    return (
+        "<div class='tiles'>"
+        + "".join(f"<div><b>{escape(a)}</b><span>{escape(b)}</span></div>" for a, b in tiles)
+        + "</div>"
+    )
+
+
+def _pictures(content: ReportInput) -> str:
+    lane_map = content.lane_map
+    if not lane_map.lanes:
+        return ""
+    paths = content.recording.paths()
+    picture, frame, drawn = map_view(lane_map, paths, content.truth or ())
+    caption = [
+        f"{drawn} of {count(len(paths), 'vehicle path')}, coloured by direction of travel. "
+        "Filled lanes are confirmed, dashed ones tentative; arrows show the direction of travel.",
+    ]
+    if frame.stretch > 1:
+        caption.append(f"Drawn {frame.stretch:.0f} times wider across the page than along it.")
+    if len(lane_map.visible_m):
+        caption.append("The shaded ground is where one lane can be told from the next.")
+    if content.truth:
+        caption.append("Thin dark lines are the true lanes.")
+    camera = image_view(lane_map, paths, content.homography, content.image_size)
+    near_far = _range_m(content)
+    sees = ""
+    if near_far:
+        sees = f"Lanes are seen from {near_far[0]:.0f} to {near_far[1]:.0f} m from the camera. "
+    return _section("Map", _figure(picture.markup(), " ".join(caption), "map")) + _section(
+        "The camera's view",
+        _figure(
+            camera.markup(),
+            sees
+            + "The same lanes and paths, projected back into the image. Crosses: control points.",
+            "camera",
+        ),
+    )
+
+
+def _histograms(content: ReportInput) -> str:
+    sections = content.lane_map.cross_sections
+    if not sections:
+        return ""
+    figures = [
+        f"<h3>Towards {compass(s.heading_deg)}, {s.heading_deg:.0f}°: "
+        f"{count(len(s.peak_m), 'peak')}</h3>"
+        + _figure(section_view(s, content.lane_map).markup(), "", "histogram")
+        for s in sections
+    ]
+    note = (
+        "<p>Where across the road the vehicles drive, one picture per direction of travel. "
+        "Upright lines are the peaks taken for lanes, with the distance to their neighbour.</p>"
+    )
+    return _section("Across the road", note + "".join(figures))
+
+
+def _calibration(content: ReportInput) -> str:
+    residual = content.homography.residual
+    used = residual.inlier
+    sentence = (
+        f"{int(used.sum())} of {count(len(used), 'control point')} used. Their error is "
+        f"{number(float(np.median(residual.pixel_error[used])), 1)} px in the image and "
+        f"{number(float(np.median(residual.ground_error_m[used])))} m on the road in the middle, "
+        f"{number(float(residual.ground_error_m[used].max()))} m at worst."
+    )
+    return _section(
+        "Calibration",
+        f"<p>{escape(sentence)}</p><details><summary>Every control point</summary>"
+        f"{calibration_table(content.homography)}</details>",
+    )
+
+
+def _range_m(content: ReportInput) -> tuple[float, ...]:
+    """Nearest and furthest ground from the camera where lanes are seen; empty when unknown."""
+    try:
+        pose = recover_pose(content.homography, content.image_size)
+    except CalibrationError:
+        return ()
+    ground = content.lane_map.visible_m
+    if not len(ground):
+        lines = [lane.centerline_m for lane in content.lane_map.lanes]
+        ground = np.vstack(lines) if lines else ground
+    if not len(ground):
+        return ()
+    distance = np.hypot(*(ground - pose.position_m[:2]).T)
+    return float(distance.min()), float(distance.max())
+
+
+def _section(title: str, body: str) -> str:
+    return f"<section><h2>{escape(title)}</h2>{body}</section>"
+
+
+def _figure(svg: str, caption: str, css: str) -> str:
+    note = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
+    return f'<figure class="{css}">{svg}{note}</figure>'
+
+
+def _list(sentences: Sequence[str]) -> str:
+    return (
+        "<ul>" + "".join(f"<li>{escape(x)}</li>" for x in sentences) + "</ul>" if sentences else ""
+    )
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"

@@ -1,0 +1,85 @@
+"""The vehicles' paths, thinned to what a picture can show."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.core.tables import FLAG_TRUNCATED, TRACK_DTYPE
+
+MIN_STEP_M = 2.0
+"""Points of a path closer than this add ink, not shape."""
+MAX_GAP_S = 1.0
+"""A longer pause starts a new path: the tracker may have reused the id."""
+MAX_JUMP_M = 15.0
+"""A longer step between two frames starts a new path: the id jumped to another vehicle."""
+MIN_PATH_M = 8.0
+"""Shorter paths are jitter."""
+
+
+@dataclass(slots=True)
+class Recording:
+    """Ground tracks kept for drawing while they pass by on their way to the mapper."""
+
+    frame_count: int = 0
+    first_ns: int = 0
+    last_ns: int = 0
+    _stamps: list[int] = field(default_factory=list)
+    _rows: list[NDArray[np.void]] = field(default_factory=list)
+
+    def tee(
+        self, tracks: Iterable[tuple[int, NDArray[np.void]]]
+    ) -> Iterator[tuple[int, NDArray[np.void]]]:
+        """Yield frames of `TRACK_DTYPE` rows unchanged, keeping them."""
+        for stamp_ns, rows in tracks:
+            self.first_ns = stamp_ns if self.frame_count == 0 else self.first_ns
+            self.last_ns = stamp_ns
+            self.frame_count += 1
+            self._stamps.append(stamp_ns)
+            self._rows.append(rows)
+            yield stamp_ns, rows
+
+    @property
+    def duration_s(self) -> float:
+        """Data time between the first and the last frame."""
+        return (self.last_ns - self.first_ns) / 1e9
+
+    @property
+    def row_count(self) -> int:
+        """Positions on the ground, of all vehicles and frames."""
+        return sum(map(len, self._rows))
+
+    @property
+    def track_count(self) -> int:
+        """Distinct track ids."""
+        return len({int(k) for rows in self._rows for k in np.unique(rows["track_id"])})
+
+    def paths(self) -> list[NDArray[np.float64]]:
+        """(K, 2) metres, K >= 2, one per uninterrupted drive, in the order of track ids.
+
+        Positions of boxes cut off by the image border are left out: they bend away from the lane.
+        """
+        if not self._rows:
+            return []
+        rows = np.concatenate([np.empty(0, TRACK_DTYPE), *self._rows])
+        stamp = np.repeat(np.array(self._stamps, dtype=np.int64), [len(r) for r in self._rows])
+        whole = (rows["flags"] & FLAG_TRUNCATED) == 0
+        rows, stamp = rows[whole], stamp[whole]
+        order = np.lexsort((stamp, rows["track_id"]))
+        track_id, stamp = rows["track_id"][order], stamp[order]
+        xy = np.column_stack((rows["x"], rows["y"])).astype(np.float64)[order]
+        step = np.hypot(*np.diff(xy, axis=0).T)
+        new = (np.diff(track_id) != 0) | (np.diff(stamp) > MAX_GAP_S * 1e9) | (step > MAX_JUMP_M)
+        paths = (_thinned(part) for part in np.split(xy, np.flatnonzero(new) + 1))
+        return [p for p in paths if len(p) > 1 and np.hypot(*(p[-1] - p[0])) >= MIN_PATH_M]
+
+
+def _thinned(xy: NDArray[np.float64]) -> NDArray[np.float64]:
+    if len(xy) < 2:
+        return xy
+    arc = np.append(0.0, np.cumsum(np.hypot(*np.diff(xy, axis=0).T)))
+    _, keep = np.unique(np.floor(arc / MIN_STEP_M), return_index=True)
+    return np.vstack((xy[keep], xy[-1:]))

@@ -1,0 +1,90 @@
+"""Lanes and scores in plain sentences, the same on the terminal and on the page."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from geoorbit_ros.core.lanes import Lane
+from geoorbit_ros.metrics.lane_score import LaneScore
+
+_COMPASS = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
+
+
+def compass(heading_deg: float) -> str:
+    """One of eight compass directions, from degrees clockwise from north."""
+    return _COMPASS[round(heading_deg / 45.0) % 8]
+
+
+def number(value: float, decimals: int = 2, *, signed: bool = False) -> str:
+    """A rounded number, a dash when it is not known."""
+    if not math.isfinite(value):
+        return "–"
+    rounded = round(value, decimals) + 0.0  # no "-0.00"
+    return f"{rounded:+.{decimals}f}" if signed else f"{rounded:.{decimals}f}"
+
+
+def count(n: int, singular: str, plural: str | None = None) -> str:
+    """`1 lane`, `2 lanes`."""
+    return f"{n} {singular if n == 1 else plural or singular + 's'}"
+
+
+def summary_sentence(lanes: Sequence[Lane]) -> str:
+    """How many lanes of which status lead where."""
+    confirmed = [lane for lane in lanes if lane.status == "confirmed"]
+    by_compass: dict[str, int] = {}
+    for lane in confirmed:
+        name = compass(lane.heading_deg)
+        by_compass[name] = by_compass.get(name, 0) + 1
+    towards = ", ".join(f"{n} towards {name}" for name, n in by_compass.items())
+    sentence = f"{count(len(confirmed), 'lane')} confirmed" + (f" ({towards})" if towards else "")
+    tentative = len(lanes) - len(confirmed)
+    return f"{sentence}, {tentative} tentative." if tentative else f"{sentence}."
+
+
+def missing_sentence(lane: Lane) -> str:
+    """What a tentative lane still needs."""
+    seen = f"Lane {lane.lane_id} is tentative after {count(round(lane.vehicles), 'vehicle')}"
+    if lane.vehicles_missing <= 0:
+        return f"{seen}: the traffic does not show clearly that it is one lane."
+    more = count(lane.vehicles_missing, "more vehicle")
+    return f"{seen}: about {more} will confirm it."
+
+
+def score_sentences(score: LaneScore) -> list[str]:
+    """Counts, errors and everything that is wrong, one sentence each."""
+    lines = [
+        f"{len(score.matched)} of {count(len(score.lanes), 'lane')} found, "
+        f"{len(score.confirmed)} of them confirmed; {len(score.invented)} invented, "
+        f"{len(score.direction_wrong)} in the wrong direction."
+    ]
+    if score.confirmed:
+        lines.append(
+            f"Centreline error {number(score.centerline_mean_m)} m on average, "
+            f"{number(score.centerline_p95_m)} m at 95 %; "
+            f"width error {number(score.width_error_m)} m; {score.coverage:.0%} of the length."
+        )
+    for traffic, words in (
+        ("busy", "8 vehicles or more"),
+        ("sparse", "3 to 7 vehicles"),
+        ("rare", "fewer than 3 vehicles"),
+        ("unknown", "unknown traffic"),
+    ):
+        missed = score.missed(traffic)  # type: ignore[arg-type]
+        if missed:
+            lines.append(f"Missed with {words}: {_lanes(missed)}.")
+    if score.unconfirmed:
+        lines.append(f"Busy but not confirmed: {_lanes(score.unconfirmed)}.")
+    if score.invented:
+        lines.append(f"Invented: detected {_lanes(score.invented)}.")
+    if score.unmatched_tentative:
+        lines.append(
+            f"Tentative without a true lane: detected {_lanes(score.unmatched_tentative)}."
+        )
+    if score.direction_wrong:
+        lines.append(f"Wrong direction: detected {_lanes(score.direction_wrong)}.")
+    return lines
+
+
+def _lanes(ids: Sequence[int]) -> str:
+    return f"lane{'s' if len(ids) != 1 else ''} {', '.join(map(str, ids))}"
