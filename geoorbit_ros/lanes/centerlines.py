@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solveh_banded
+from scipy.linalg.lapack import dpbsv
 
 from geoorbit_ros.lanes.members import Members
 from geoorbit_ros.lanes.profiles import Profiles
@@ -59,10 +59,13 @@ def fit_centerline(
         None when no vehicle supports two neighbouring stations.
     """
     cut = slice(ridge.first, ridge.first + len(ridge.d))
-    base = profiles.weight * np.where(large, LARGE_WEIGHT, 1.0)
-    weight = members.inside * base[:, None]
-    d = profiles.d[:, cut]
-    centre, offset = ridge.d.copy(), np.zeros(len(d))
+    mine = np.flatnonzero(members.inside.any(axis=1))
+    if len(mine) == 0:
+        return None
+    base = profiles.weight[mine] * np.where(large[mine], LARGE_WEIGHT, 1.0)
+    weight = members.inside[mine] * base[:, None]
+    d = profiles.d[mine, cut]
+    centre, offset = ridge.d.copy(), np.zeros(len(mine))
     for _ in range(ITERATIONS):
         residual = d - centre - offset[:, None]
         # Huber-type weights on single stations, then the shrunken mean offset of each vehicle.
@@ -70,14 +73,12 @@ def fit_centerline(
         mass = robust.sum(axis=1)
         # Stations of one vehicle are correlated over about a kernel width (four stations).
         shrink = (mass / 4.0) / (mass / 4.0 + (RESIDUAL_M / DRIVER_OFFSET_M) ** 2)
-        mean = (robust * (d - centre)).sum(axis=1) / np.maximum(mass, 1e-9)
-        offset = shrink * mean
-        present = mass > 0.0
-        offset -= np.where(present, _robust_mean(offset[present], base[present]), 0.0)
+        offset = shrink * (robust * (d - centre)).sum(axis=1) / np.maximum(mass, 1e-9)
+        offset -= _robust_mean(offset, base)
         support = robust.sum(axis=0)
         target = (robust * (d - offset[:, None])).sum(axis=0) / np.maximum(support, 1e-9)
         centre = _whittaker(target, support, stiffness_m / profiles.step_m)
-    lanes_worth = members.inside.any(axis=1) @ base
+    lanes_worth = float(base.sum())
     enough = support >= max(0.8 * min(base.max(), 1.0), 0.2 * support.max())
     if not enough.any():
         return None
@@ -105,12 +106,18 @@ def _whittaker(
 ) -> NDArray[np.float64]:
     """Penalised least squares with second differences (Eilers 2003, Analytical Chemistry 75)."""
     n = len(target)
-    if n < 3:
+    if n < 4:
         return target
-    penalty = length**4 * (2.0 * np.pi) ** -4 * max(float(np.median(weight)), 1e-3)
+    penalty = (length / (2.0 * np.pi)) ** 4 * max(float(np.median(weight)), 1e-3)
     bands = np.zeros((3, n))
-    bands[2] = weight + 1e-9 + penalty * np.r_[1.0, 5.0, np.full(n - 4, 6.0), 5.0, 1.0][:n] \
-        if n > 3 else weight + 1e-9 + penalty * np.array([1.0, 4.0, 1.0])
-    bands[1, 1:] = penalty * (np.r_[-2.0, np.full(n - 3, -4.0), -2.0] if n > 3 else -2.0)
+    bands[2] = weight + 1e-9 + penalty * 6.0
+    bands[2, [0, -1]] -= penalty * 5.0
+    bands[2, [1, -2]] -= penalty
+    bands[1, 1:] = penalty * -4.0
+    bands[1, [1, -1]] += penalty * 2.0
     bands[0, 2:] = penalty
-    return np.asarray(solveh_banded(bands, weight * target, check_finite=False))
+    # LAPACK's own banded Cholesky: scipy's checks around it cost more than the solution.
+    _, solution, info = dpbsv(bands, weight * target)
+    if info != 0:
+        raise ArithmeticError(f"smoothing of {n} stations: band matrix not positive definite")
+    return np.asarray(solution)

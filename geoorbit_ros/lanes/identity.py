@@ -66,20 +66,27 @@ def _distances_m(lanes: Sequence[Lane], others: Sequence[Lane]) -> NDArray[np.fl
     heading = np.arctan2(step[:, 1], step[:, 0])
     first = np.append(0, np.cumsum([len(line) - 1 for line in lines]))[:-1]
     owner = np.repeat(np.arange(len(lines)), [len(line) - 1 for line in lines])
+    picks = [_probes(lane.centerline_m) for lane in lanes]
+    probe = np.concatenate([lane.centerline_m[k] for lane, k in zip(lanes, picks, strict=True)])
+    own = np.concatenate(
+        [np.gradient(lane.centerline_m, axis=0)[k] for lane, k in zip(lanes, picks, strict=True)]
+    )
+    away_x = probe[:, :1] - start[:, 0]
+    away_y = probe[:, 1:] - start[:, 1]
+    t = np.clip((away_x * step[:, 0] + away_y * step[:, 1]) / square, 0.0, 1.0)
+    distance = np.hypot(away_x - t * step[:, 0], away_y - t * step[:, 1])
+    nearest = np.minimum.reduceat(distance, first, axis=1)
+    turn = np.arctan2(own[:, 1], own[:, 0])[:, None] - heading
+    turn = np.abs((turn + np.pi) % (2.0 * np.pi) - np.pi)
+    angle = np.maximum.reduceat(np.where(distance <= nearest[:, owner], turn, 0.0), first, axis=1)
     result = np.empty((len(lanes), len(lines)))
-    for i, lane in enumerate(lanes):
-        line = lane.centerline_m
-        pick = np.unique(np.linspace(0, len(line) - 1, PROBES).round().astype(np.int64))
-        own = np.gradient(line, axis=0)[pick]
-        away = line[pick, None] - start
-        t = np.clip((away * step).sum(axis=2) / square, 0.0, 1.0)
-        rest = away - t[..., None] * step
-        distance = np.hypot(rest[..., 0], rest[..., 1])
-        nearest = np.minimum.reduceat(distance, first, axis=1)
-        result[i] = np.median(nearest, axis=0)
-        turn = np.arctan2(own[:, 1], own[:, 0])[:, None] - heading
-        turn = np.abs((turn + np.pi) % (2.0 * np.pi) - np.pi)
-        at_foot = np.where(distance <= nearest[:, owner], turn, 0.0)
-        angle = np.maximum.reduceat(at_foot, first, axis=1)
-        result[i, np.median(angle, axis=0) > MATCH_RAD] = np.inf
+    rows = np.split(np.arange(len(probe)), np.cumsum([len(k) for k in picks])[:-1])
+    for i, row in enumerate(rows):
+        alike = np.median(angle[row], axis=0) <= MATCH_RAD
+        result[i] = np.where(alike, np.median(nearest[row], axis=0), np.inf)
     return result
+
+
+def _probes(line: NDArray[np.float64]) -> NDArray[np.int64]:
+    """At most `PROBES` point numbers, evenly spread."""
+    return np.unique(np.linspace(0, len(line) - 1, PROBES).round().astype(np.int64))

@@ -90,8 +90,12 @@ def find_ridges(density: Density, min_height: float, prominence: float) -> list[
     """
     open_ridges: list[tuple[int, list[float], list[float]]] = []
     closed: list[Ridge] = []
+    inner = density.value[:, 1:-1]
+    crest = (inner > density.value[:, :-2]) & (inner >= density.value[:, 2:])
+    crest &= inner >= min_height
     for j, line in enumerate(density.value):
-        peak_d, peak_h = _crests(line, density.offset_m, min_height, prominence)
+        k = np.flatnonzero(crest[j]) + 1
+        peak_d, peak_h = _prominent(line, k, density.offset_m, prominence)
         taken = np.zeros(len(peak_d), bool)
         last = np.array([ridge[1][-1] for ridge in open_ridges])
         still: list[tuple[int, list[float], list[float]]] = []
@@ -136,12 +140,13 @@ def separate(ridges: list[Ridge]) -> list[Ridge]:
     return kept
 
 
-def _crests(
-    line: NDArray[np.float64], offset: NDArray[np.float64], min_height: float, prominence: float
+def _prominent(
+    line: NDArray[np.float64],
+    k: NDArray[np.int64],
+    offset: NDArray[np.float64],
+    prominence: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Positions and heights of the prominent maxima of one station's density."""
-    inner = line[1:-1]
-    k = np.flatnonzero((inner > line[:-2]) & (inner >= line[2:]) & (inner >= min_height)) + 1
+    """Positions and heights of those maxima `k` of one station's density that are prominent."""
     while len(k) > 1:
         saddle = np.array([line[a : b + 1].min() for a, b in zip(k[:-1], k[1:], strict=True)])
         lower = np.minimum(line[k[:-1]], line[k[1:]])
