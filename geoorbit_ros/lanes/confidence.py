@@ -21,7 +21,7 @@ class LaneEvidence:
     """What speaks for a lane.
 
     Attributes:
-        vehicles: Distinct vehicles that drove along it, those seen over a short stretch counting less.
+        vehicles: Distinct vehicles that drove along it; one seen over a short stretch counts less.
         lane_share: Share of the traffic in its band that drives along it rather than across.
         length: Its length in units of the road's scale (about a second of travel).
         presence: Traffic seen there as a share of the most seen in that band of the road.

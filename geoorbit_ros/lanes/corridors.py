@@ -40,9 +40,7 @@ class Corridor:
     scale_m: float
 
 
-def find_corridors(
-    passes: Passes, known: Sequence[tuple[Spine, float]] = ()
-) -> list[Corridor]:
+def find_corridors(passes: Passes, known: Sequence[tuple[Spine, float]] = ()) -> list[Corridor]:
     """Split the traffic into streams, the one with the longest pass first.
 
     Args:

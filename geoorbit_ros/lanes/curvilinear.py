@@ -1,8 +1,8 @@
 """The lane estimator that users get: lanes as crests of traffic density along curved roads.
 
 Per update: passes (condensed tracks) -> corridors (streams with a reference curve) -> lateral
-profiles -> density over (s, d) -> crests -> members -> centrelines -> widths. Nothing in it knows an
-axis: it depends on distances and angles between vehicles alone.
+profiles -> density over (s, d) -> crests -> members -> centrelines -> widths. Nothing in it knows
+an axis: it depends on distances and angles between vehicles alone.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from geoorbit_ros.core.lanes import CrossSection, Lane, LaneMap
 from geoorbit_ros.lanes.centerlines import LARGE_WEIGHT, Centerline, fit_centerline
 from geoorbit_ros.lanes.confidence import LaneEvidence, judge
-from geoorbit_ros.lanes.corridors import Corridor, find_corridors, place_nodes
+from geoorbit_ros.lanes.corridors import Corridor, find_corridors
 from geoorbit_ros.lanes.evidence import Evidence
 from geoorbit_ros.lanes.identity import LaneRegistry
 from geoorbit_ros.lanes.members import find_members

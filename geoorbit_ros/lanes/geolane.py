@@ -55,7 +55,9 @@ class GeoLaneEstimator:
         self._stamps, self._frames = self._stamps[first:], self._frames[first:]
         rows = np.frombuffer(b"".join(self._frames), TRACK_DTYPE)
         lanes, sections = detect(rows, parameters)
-        return LaneMap(stamp_ns, self._registry.identify(lanes, self._registry.match(lanes)), tuple(sections))
+        return LaneMap(
+            stamp_ns, self._registry.identify(lanes, self._registry.match(lanes)), tuple(sections)
+        )
 
 
 def detect(

@@ -39,9 +39,7 @@ class LaneRegistry:
                     matched[i] = known[k]
         return matched
 
-    def identify(
-        self, lanes: Sequence[Lane], matched: Sequence[Lane | None]
-    ) -> tuple[Lane, ...]:
+    def identify(self, lanes: Sequence[Lane], matched: Sequence[Lane | None]) -> tuple[Lane, ...]:
         """The lanes with lasting ids, ordered by id.
 
         Args:

@@ -51,9 +51,7 @@ class Ridge:
         return float(self.height.sum())
 
 
-def lateral_density(
-    profiles: Profiles, blur_m: float, trust: NDArray[np.float64]
-) -> Density:
+def lateral_density(profiles: Profiles, blur_m: float, trust: NDArray[np.float64]) -> Density:
     """Density of vehicles over stations and lateral offset, smoothed by Gaussians.
 
     Args:
@@ -110,8 +108,7 @@ def find_ridges(density: Density, min_height: float, prominence: float) -> list[
             else:
                 closed.append(Ridge(ridge[0], np.array(ridge[1]), np.array(ridge[2])))
         still.extend(
-            (j, [float(d)], [float(h)])
-            for d, h in zip(peak_d[~taken], peak_h[~taken], strict=True)
+            (j, [float(d)], [float(h)]) for d, h in zip(peak_d[~taken], peak_h[~taken], strict=True)
         )
         open_ridges = still
     closed.extend(Ridge(r[0], np.array(r[1]), np.array(r[2])) for r in open_ridges)
@@ -182,9 +179,7 @@ def _bridge(ridges: list[Ridge]) -> list[Ridge]:
             fill = np.linspace(0.0, 1.0, best[2] + 2)[1:-1]
             ridge = Ridge(
                 ridge.first,
-                np.concatenate(
-                    [ridge.d, ridge.d[-1] + fill * (other.d[0] - ridge.d[-1]), other.d]
-                ),
+                np.concatenate([ridge.d, ridge.d[-1] + fill * (other.d[0] - ridge.d[-1]), other.d]),
                 np.concatenate([ridge.height, np.zeros(best[2]), other.height]),
             )
         done.append(ridge)

@@ -173,7 +173,11 @@ def _align(
     """Turn the curve, place by place, into the robust mean direction of the traffic beside it."""
     s, d = spine.to_road(xy)
     off = wrap_rad(heading - spine.heading_at(s))
-    use = (np.abs(off) < 0.4) & (np.abs(d) < 2.0 * scale_m) & (1.0 - d * np.interp(s, spine.s, spine.curvature) > 0.3)
+    use = (
+        (np.abs(off) < 0.4)
+        & (np.abs(d) < 2.0 * scale_m)
+        & (1.0 - d * np.interp(s, spine.s, spine.curvature) > 0.3)
+    )
     use &= (s >= 0.0) & (s <= spine.s[-1])
     if not use.any():
         return spine

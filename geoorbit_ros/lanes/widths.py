@@ -66,7 +66,10 @@ def _spacing(a: Centerline, b: Centerline, step_m: float) -> tuple[float, float]
     high = min(a.station[-1], b.station[-1]) + 1
     if high - low < MIN_COMMON_STATIONS:
         return None
-    ia, ib = slice(low - a.station[0], high - a.station[0]), slice(low - b.station[0], high - b.station[0])
+    ia, ib = (
+        slice(low - a.station[0], high - a.station[0]),
+        slice(low - b.station[0], high - b.station[0]),
+    )
     gap = np.abs(a.d[ia] - b.d[ib])
     sigma = np.hypot(a.sigma_m[ia], b.sigma_m[ib])
     use = (gap >= SPACING_RANGE_M[0]) & (gap <= SPACING_RANGE_M[1])
@@ -101,6 +104,8 @@ def lane_widths(
         weight = np.array([1.0 / (s.sigma_m**2 + SPREAD_M**2) for s in mine])
         prior = 1.0 / (road_sigma**2 + SPREAD_M**2)
         total = prior + weight.sum()
-        width[lane] = (prior * road + sum(w * s.value_m for w, s in zip(weight, mine, strict=True))) / total
+        width[lane] = (
+            prior * road + sum(w * s.value_m for w, s in zip(weight, mine, strict=True))
+        ) / total
         error[lane] = total**-0.5
     return width, error
