@@ -79,9 +79,7 @@ def place_nodes(spine: Spine, scale_m: float, passes: Passes, among: NDArray[np.
     """The corridor around `spine`, with the nodes `among` (M,) that run along it."""
     s, d = spine.to_road(passes.xy[among])
     angle = wrap_rad(passes.heading[among] - spine.heading_at(s))
-    # Inside a bend, beyond the centre of curvature, (s, d) is no longer one to one.
-    regular = 1.0 - d * np.interp(s, spine.s, spine.curvature) > 0.3
-    fits = (np.abs(angle) < MAX_ANGLE_RAD) & (np.abs(d) < MAX_OFFSET_M) & regular
+    fits = (np.abs(angle) < MAX_ANGLE_RAD) & (np.abs(d) < MAX_OFFSET_M) & spine.regular(s, d)
     fits &= (s >= 0.0) & (s <= spine.s[-1])
     return Corridor(spine, among[fits], s[fits], d[fits], scale_m)
 

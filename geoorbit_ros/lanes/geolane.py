@@ -1,7 +1,7 @@
 """GeoLane, the paper's method (section III-B), as the baseline that every table compares against.
 
-Histogram of mean lateral positions, Gaussian smoothing, peaks, KMeans, spline x = f(y), w = 2 sigma,
-normals. Its coordinates are the paper's: y is longitude (east), x is latitude (north), hence it
+Histogram of mean lateral positions, Gaussian smoothing, peaks, KMeans, spline x = f(y),
+w = 2 sigma, normals. Its coordinates are the paper's: y is longitude (east), x is latitude (north), hence it
 suits roads that run east-west.
 
 Where the paper leaves a number open, its published configuration fills it in: 50 bins, a five-tap
@@ -99,7 +99,7 @@ def detect(
 def _lane_groups(
     owner: NDArray[np.int64], y: NDArray[np.float64], tracks: int
 ) -> list[tuple[bool, NDArray[np.int64]]]:
-    """Tracks by direction of travel along y: the carriageways that the paper's contours separate."""
+    """Tracks by direction of travel along y, for the carriageways of the paper's contours."""
     first = np.full(tracks, -1)
     order = np.arange(len(owner))
     first[owner[::-1]] = order[::-1]

@@ -56,7 +56,7 @@ class LaneRegistry:
 
 
 def _distances_m(lanes: Sequence[Lane], others: Sequence[Lane]) -> NDArray[np.float64]:
-    """(A, B) median distance of points of each lane to each other lane; inf where directions differ."""
+    """(A, B) median distance of each lane's points to each other lane; inf if directions differ."""
     lines = [other.centerline_m for other in others]
     start = np.concatenate([line[:-1] for line in lines])
     step = np.concatenate([np.diff(line, axis=0) for line in lines])

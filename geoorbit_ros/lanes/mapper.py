@@ -1,4 +1,4 @@
-"""Continuous mapping: feeds an estimator and decides, by data time alone, when the map is renewed."""
+"""Continuous mapping: feeds an estimator and renews the map on a schedule of data time alone."""
 
 from __future__ import annotations
 

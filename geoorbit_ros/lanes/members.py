@@ -16,7 +16,7 @@ PARALLEL = 0.05
 MIN_SUPPORT = 0.6
 """Length in road scales that a vehicle must be seen in a lane to be its member."""
 BAND_M = 6.0
-"""Half-width of the band, a lane and its neighbours, whose traffic tells how far the camera sees."""
+"""Half-width of the band, a lane and its neighbours, in which traffic is compared."""
 SAME_VEHICLE_S = 0.6
 """Headways in one lane are longer than this (HCM: saturation headway about 2 s), so two passes
 closer in time are one vehicle whose track was broken or doubled."""

@@ -184,8 +184,10 @@ def _new_vehicle(
 
 
 def _travel_m(nodes: _Nodes) -> NDArray[np.float64]:
-    """Distance travelled since the piece began. Steps inside the noise don't count: a standing
-    vehicle would otherwise crawl away on its own jitter."""
+    """Distance travelled since the piece began.
+
+    Steps inside the noise don't count: a standing vehicle would crawl away on its own jitter.
+    """
     step = np.append(0.0, np.hypot(*np.diff(nodes.xy, axis=0).T))
     step[1:][step[1:] < 0.5 * (nodes.sigma[1:] + nodes.sigma[:-1])] = 0.0
     begin = nodes.starts()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,7 +35,7 @@ class Density:
 
 @dataclass(slots=True)
 class Ridge:
-    """A candidate lane: consecutive stations `first ... first + len(d) - 1` and its offset there."""
+    """A candidate lane: its offset at consecutive stations, `first` the first of them."""
 
     first: int
     d: NDArray[np.float64]
@@ -99,11 +100,11 @@ def find_ridges(density: Density, min_height: float, prominence: float) -> list[
         still: list[tuple[int, list[float], list[float]]] = []
         gap = np.abs(last[:, None] - peak_d[None, :])
         for i, ridge in enumerate(open_ridges):
-            k = int(np.argmin(gap[i])) if len(peak_d) else -1
-            if k >= 0 and gap[i, k] <= LINK_M and int(np.argmin(gap[:, k])) == i:
-                ridge[1].append(float(peak_d[k]))
-                ridge[2].append(float(peak_h[k]))
-                taken[k] = True
+            best = int(np.argmin(gap[i])) if len(peak_d) else -1
+            if best >= 0 and gap[i, best] <= LINK_M and int(np.argmin(gap[:, best])) == i:
+                ridge[1].append(float(peak_d[best]))
+                ridge[2].append(float(peak_h[best]))
+                taken[best] = True
                 still.append(ridge)
             else:
                 closed.append(Ridge(ridge[0], np.array(ridge[1]), np.array(ridge[2])))
@@ -145,7 +146,7 @@ def _prominent(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Positions and heights of those maxima `k` of one station's density that are prominent."""
     while len(k) > 1:
-        saddle = np.array([line[a : b + 1].min() for a, b in zip(k[:-1], k[1:], strict=True)])
+        saddle = np.array([line[a : b + 1].min() for a, b in itertools.pairwise(k)])
         lower = np.minimum(line[k[:-1]], line[k[1:]])
         depth = 1.0 - saddle / lower
         worst = int(np.argmin(depth))

@@ -49,7 +49,7 @@ class Spine:
 
     def heading_at(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Heading at arc lengths `s`, radians."""
-        return np.interp(s, self.s, self.heading)
+        return np.asarray(np.interp(s, self.s, self.heading))
 
     def to_road(self, xy: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """(s, d) of points (N, 2); d is positive to the left of the direction of travel."""
@@ -64,6 +64,10 @@ class Spine:
         x, y = np.interp(s, self.s, self.xy[:, 0]), np.interp(s, self.s, self.xy[:, 1])
         heading = self.heading_at(s)
         return np.column_stack([x - d * np.sin(heading), y + d * np.cos(heading)])
+
+    def regular(self, s: NDArray[np.float64], d: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Whether (s, d) is one to one there: well on this side of the centre of curvature."""
+        return np.asarray(1.0 - d * np.interp(s, self.s, self.curvature) > 0.3)
 
     def _offset(
         self, s: NDArray[np.float64], xy: NDArray[np.float64]
@@ -93,9 +97,9 @@ def trace_spine(
 ) -> Spine:
     """The reference curve of the traffic stream that the seed pass belongs to.
 
-    Starts from the seed's own path, follows the stream beyond both of its ends, then turns the curve
-    until it runs parallel to the median traffic at every place: an average position would wander
-    from lane to lane as vehicles enter and leave, an average direction does not.
+    Starts from the seed's own path, follows the stream beyond both of its ends, then turns the
+    curve until it runs parallel to the median traffic at every place: an average position would
+    wander from lane to lane as vehicles enter and leave, an average direction does not.
 
     Args:
         xy: (N, 2) nodes of all passes.
@@ -147,7 +151,7 @@ def _follow(
 def _headings(
     path: NDArray[np.float64], anchor: int, scale_m: float
 ) -> tuple[NDArray[np.float64], int]:
-    """Smooth heading profile of a rough path, every `STEP_M`, with run-outs; and the anchor there."""
+    """Smooth heading profile of a rough path, every `STEP_M`, with run-outs; the anchor's number."""
     step = np.hypot(*np.diff(path, axis=0).T)
     keep = np.append(True, step > 0.2)
     keep[anchor] = True
@@ -173,11 +177,7 @@ def _align(
     """Turn the curve, place by place, into the robust mean direction of the traffic beside it."""
     s, d = spine.to_road(xy)
     off = wrap_rad(heading - spine.heading_at(s))
-    use = (
-        (np.abs(off) < 0.4)
-        & (np.abs(d) < 2.0 * scale_m)
-        & (1.0 - d * np.interp(s, spine.s, spine.curvature) > 0.3)
-    )
+    use = (np.abs(off) < 0.4) & (np.abs(d) < 2.0 * scale_m) & spine.regular(s, d)
     use &= (s >= 0.0) & (s <= spine.s[-1])
     if not use.any():
         return spine

@@ -102,10 +102,9 @@ def lane_widths(
         mine = [s for s in spacings if lane in s.lanes and s.value_m <= road + SHOULDER_M]
         # A spacing is the mean of two widths: it tells about one of them with the other's spread.
         weight = np.array([1.0 / (s.sigma_m**2 + SPREAD_M**2) for s in mine])
+        spacing = np.array([s.value_m for s in mine])
         prior = 1.0 / (road_sigma**2 + SPREAD_M**2)
         total = prior + weight.sum()
-        width[lane] = (
-            prior * road + sum(w * s.value_m for w, s in zip(weight, mine, strict=True))
-        ) / total
+        width[lane] = (prior * road + weight @ spacing) / total
         error[lane] = total**-0.5
     return width, error

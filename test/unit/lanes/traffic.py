@@ -14,7 +14,7 @@ Curve = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 
 def arc(radius_m: float, heading_rad: float = 0.0, offset_m: float = 0.0) -> Curve:
-    """A road that starts at the origin and bends left with `radius_m`; `offset_m` is to its left."""
+    """A road from the origin that bends left with `radius_m`; `offset_m` is to its left."""
 
     def at(s: NDArray[np.float64]) -> NDArray[np.float64]:
         turn = s / radius_m
