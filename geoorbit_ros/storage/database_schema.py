@@ -1,0 +1,152 @@
+"""The trajectory database's SQLite schema: opening, versions, faults as sentences."""
+
+from __future__ import annotations
+
+import sqlite3
+import zlib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from geoorbit_ros.core.errors import InputFileError
+
+APPLICATION_ID = 0x47654F72  # "GeOr", as file(1) and PRAGMA application_id show it
+MAX_BATCH_SPAN_NS = 1_000_000_000
+"""No batch of frames is longer: readers rely on it to find the batch that holds a time."""
+BUSY_TIMEOUT_S = 5.0
+_WAL_LIMIT_BYTES = 16_000_000
+
+MIGRATIONS: tuple[str, ...] = (
+    # 1: The index over five columns answers what is in the file without touching a block.
+    """
+    CREATE TABLE camera (
+        id INTEGER PRIMARY KEY,
+        name TEXT NOT NULL UNIQUE
+    );
+    CREATE TABLE track_batch (
+        id INTEGER PRIMARY KEY,
+        camera INTEGER NOT NULL REFERENCES camera (id),
+        start_ns INTEGER NOT NULL,
+        end_ns INTEGER NOT NULL,
+        frames INTEGER NOT NULL,
+        row_count INTEGER NOT NULL,
+        data BLOB NOT NULL,
+        UNIQUE (camera, start_ns)
+    );
+    CREATE INDEX track_batch_content
+        ON track_batch (camera, start_ns, end_ns, frames, row_count);
+    CREATE INDEX track_batch_age ON track_batch (end_ns);
+    CREATE TABLE lane_map (
+        id INTEGER PRIMARY KEY,
+        camera INTEGER NOT NULL REFERENCES camera (id),
+        stamp_ns INTEGER NOT NULL,
+        geojson BLOB NOT NULL,
+        UNIQUE (camera, stamp_ns)
+    );
+    CREATE INDEX lane_map_age ON lane_map (stamp_ns);
+    """,
+)
+"""Script k brings a database of version k to k + 1. Never change one that was released: add."""
+
+
+@contextmanager
+def faults_as_sentences(path: Path) -> Iterator[None]:
+    """Turn SQLite's errors into one sentence about the file.
+
+    Raises:
+        InputFileError: Instead of a `sqlite3.Error`, or of what a damaged block raises.
+    """
+    try:
+        yield
+    except (sqlite3.Error, zlib.error, ValueError) as error:
+        raise InputFileError(str(path), str(error), "a sound trajectory database") from error
+
+
+def connect(
+    path: Path, *, read_only: bool, migrations: Sequence[str] = MIGRATIONS
+) -> sqlite3.Connection:
+    """Open a trajectory database, made or brought up to date first unless `read_only`.
+
+    WAL mode: readers see committed batches while a writer goes on. With synchronous=NORMAL a commit
+    is in the operating system's hands, so a killed process loses nothing committed; only power loss
+    can cost commits since the last checkpoint, and it never damages the file
+    (https://sqlite.org/wal.html, https://sqlite.org/pragma.html#pragma_synchronous).
+
+    Raises:
+        InputFileError: No such file (when reading), something else, damaged, locked, or written by
+            a newer version.
+    """
+    if read_only and not path.is_file():
+        raise InputFileError(str(path), "no such file", "a trajectory database")
+    with faults_as_sentences(path):
+        connection = sqlite3.connect(
+            f"{path.absolute().as_uri()}?mode={'ro' if read_only else 'rwc'}",
+            uri=True,
+            timeout=BUSY_TIMEOUT_S,
+            isolation_level=None,
+            check_same_thread=False,  # the owner holds a lock
+        )
+        try:
+            version = _check(connection, path, len(migrations), read_only)
+            if not read_only:
+                _prepare(connection, path, fresh=version == 0)
+                _migrate(connection, migrations)
+        except BaseException:
+            connection.close()
+            raise
+    return connection
+
+
+def _value(connection: sqlite3.Connection, pragma: str) -> int:
+    return int(connection.execute(f"PRAGMA {pragma}").fetchone()[0])
+
+
+def _check(connection: sqlite3.Connection, path: Path, latest: int, read_only: bool) -> int:
+    """The file's schema version, 0 for an empty file that may become a database."""
+    version = _value(connection, "user_version")
+    foreign = _value(connection, "application_id") != APPLICATION_ID
+    empty = _value(connection, "schema_version") == 0
+    if (foreign and not empty) or (empty and read_only):
+        found = "an empty file" if empty else "a SQLite database of another program"
+        raise InputFileError(str(path), found, "a trajectory database")
+    if version > latest:
+        raise InputFileError(
+            str(path),
+            f"schema version {version}, written by a newer geoorbit",
+            f"version {latest} or older",
+        )
+    if read_only and version < latest:
+        raise InputFileError(
+            str(path),
+            f"schema version {version}",
+            f"version {latest} (open it once for writing to bring it up to date)",
+        )
+    return version
+
+
+def _prepare(connection: sqlite3.Connection, path: Path, *, fresh: bool) -> None:
+    if fresh:  # only possible before the first table
+        connection.execute("PRAGMA auto_vacuum = INCREMENTAL")
+    (mode,) = connection.execute("PRAGMA journal_mode = WAL").fetchone()
+    if mode != "wal":
+        raise InputFileError(
+            str(path), f"a file system where SQLite uses journal mode '{mode}'", "a local disk"
+        )
+    connection.execute("PRAGMA synchronous = NORMAL")
+    connection.execute("PRAGMA foreign_keys = ON")
+    connection.execute(f"PRAGMA journal_size_limit = {_WAL_LIMIT_BYTES}")
+
+
+def _migrate(connection: sqlite3.Connection, migrations: Sequence[str]) -> None:
+    """Run the missing scripts, all or none; another process that does the same waits."""
+    connection.execute("BEGIN IMMEDIATE")
+    try:
+        for script in migrations[_value(connection, "user_version") :]:
+            for statement in script.split(";"):  # executescript() would commit in between
+                connection.execute(statement)
+        connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+        connection.execute(f"PRAGMA user_version = {len(migrations)}")
+        connection.execute("COMMIT")
+    except BaseException:
+        connection.execute("ROLLBACK")
+        raise
