@@ -16,8 +16,8 @@ from geoorbit_ros.lanes.passes import (
     select,
 )
 
-MAX_PASSES = 4000
-"""Newest passes kept: half an hour of a busy motorway, a day of a quiet road."""
+MAX_PASSES = 1500
+"""Newest passes kept: ten minutes of a busy motorway, most of a day on a quiet road."""
 HALF_LIFE_S = 6 * 3600.0
 """Time after which a pass counts half: a work zone shows by the next rush hour."""
 MAX_SIGMA_M = 3.0

@@ -1,8 +1,8 @@
 """GeoLane, the paper's method (section III-B), as the baseline that every table compares against.
 
 Histogram of mean lateral positions, Gaussian smoothing, peaks, KMeans, spline x = f(y),
-w = 2 sigma, normals. Its coordinates are the paper's: y is longitude (east), x is latitude (north), hence it
-suits roads that run east-west.
+w = 2 sigma, normals. Its coordinates are the paper's: y is longitude (east), x is latitude
+(north), hence it suits roads that run east-west.
 
 Where the paper leaves a number open, its published configuration fills it in: 50 bins, a five-tap
 Gaussian of sigma 2, peaks at least three bins apart, at least 1 high and 1 prominent, 30 points.

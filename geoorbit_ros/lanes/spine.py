@@ -36,7 +36,7 @@ class Spine:
     @cached_property
     def s(self) -> NDArray[np.float64]:
         """(K,) arc length."""
-        return np.arange(len(self.xy)) * STEP_M
+        return np.arange(len(self.xy), dtype=np.float64) * STEP_M
 
     @cached_property
     def curvature(self) -> NDArray[np.float64]:
@@ -151,7 +151,7 @@ def _follow(
 def _headings(
     path: NDArray[np.float64], anchor: int, scale_m: float
 ) -> tuple[NDArray[np.float64], int]:
-    """Smooth heading profile of a rough path, every `STEP_M`, with run-outs; the anchor's number."""
+    """Smooth heading profile of a rough path, every `STEP_M`, with run-outs; the anchor's index."""
     step = np.hypot(*np.diff(path, axis=0).T)
     keep = np.append(True, step > 0.2)
     keep[anchor] = True
