@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -10,9 +9,6 @@ from typing import Annotated
 import typer
 
 app = typer.Typer(help="Make and inspect bags of tracked boxes (rosbag2).", no_args_is_help=True)
-
-_EPOCH_NS = 10**17
-"""Later than 1973: the clock counts from 1970. Earlier: it counts from the start of a recording."""
 
 
 class StorageName(StrEnum):
@@ -51,6 +47,7 @@ def from_csv(
     from geoorbit_ros.calibration.control_points import read_control_points
     from geoorbit_ros.calibration.homography import fit_homography
     from geoorbit_ros.cli.console import status
+    from geoorbit_ros.cli.units import format_size
     from geoorbit_ros.core.errors import CalibrationError
     from geoorbit_ros.storage.bag import describe_bag, write_track_bag
     from geoorbit_ros.storage.track_csv import read_track_csv
@@ -72,8 +69,8 @@ def from_csv(
     info = describe_bag(out)
     typer.echo(
         f"{out}: /{camera_id}/tracks_px, {info.messages} messages, {len(frames.rows)} boxes, "
-        f"{info.duration_ns / 1e9:.1f} s, {_size(info.size_bytes)}; {on_road.mean():.0%} of the "
-        f"boxes stand on the calibrated road plane"
+        f"{info.duration_ns / 1e9:.1f} s, {format_size(info.size_bytes)}; {on_road.mean():.0%} "
+        f"of the boxes stand on the calibrated road plane"
     )
 
 
@@ -86,29 +83,17 @@ def info(
     Example: [bold]geoorbit bag info north_bag[/bold]
     """
     from geoorbit_ros.cli.console import console, make_table
+    from geoorbit_ros.cli.units import format_size, format_time
     from geoorbit_ros.storage.bag import describe_bag
 
     found = describe_bag(bag)
     seconds = found.duration_ns / 1e9
     typer.echo(
-        f"{bag}: {found.storage}, {_size(found.size_bytes)}, {found.messages} messages, "
-        f"{seconds:.3f} s from {_time(found.start_ns)}"
+        f"{bag}: {found.storage}, {format_size(found.size_bytes)}, {found.messages} messages, "
+        f"{seconds:.3f} s from {format_time(found.start_ns)}"
     )
     table = make_table("", "topic|type|>messages|>rate (Hz)")
     for topic in found.topics:
         rate = f"{(topic.messages - 1) / seconds:.1f}" if seconds and topic.messages > 1 else "–"
         table.add_row(topic.name, topic.message_type, f"{topic.messages}", rate)
     console.print(table)
-
-
-def _size(size_bytes: int) -> str:
-    for unit, scale in (("GB", 10**9), ("MB", 10**6), ("kB", 10**3)):
-        if size_bytes >= scale:
-            return f"{size_bytes / scale:.1f} {unit}"
-    return f"{size_bytes} bytes"
-
-
-def _time(stamp_ns: int) -> str:
-    if stamp_ns < _EPOCH_NS:
-        return f"{stamp_ns / 1e9:.3f} s"
-    return f"{datetime.fromtimestamp(stamp_ns / 1e9, UTC):%Y-%m-%d %H:%M:%S} UTC"
