@@ -70,13 +70,20 @@ def status(text: str) -> Iterator[None]:
         yield
 
 
+def say(text: str) -> None:
+    """Print a sentence below a table, indented like it."""
+    from rich.padding import Padding
+
+    console.print(Padding(text, (0, 0, 0, 1)))
+
+
 def make_table(title: str, columns: str) -> Table:
     """An empty table; `columns` are its headings, `>` before one aligns it to the right."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
     table = Table(
-        title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False
+        title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, padding=(0, 1, 0, 0)
     )
     for column in columns.split("|"):
         right = column.startswith(">")

@@ -112,8 +112,9 @@ def load_camera(
     camera_id: str | None,
     image_size: str,
     datum: str | None,
+    out: Path,
 ) -> CameraInput:
-    """Read what the options name.
+    """Read what the options name; `out` must be none of it.
 
     Raises:
         GeoOrbitError: An option, a file or a value in it is wrong.
@@ -127,13 +128,16 @@ def load_camera(
     if (tracks is None) == (bag is None):
         found = "neither" if tracks is None else "both"
         raise ParameterError("options --tracks and --bag", found, "exactly one of them")
+    source = tracks or bag
+    assert source is not None
+    for file in (source, calibration):
+        if out.exists() and file.exists() and out.samefile(file):
+            raise ParameterError("option --out", f"{out}, an input", "another path")
     points = read_control_points(calibration, origin)
     if points.datum is None:
         expected = "--datum LAT,LON: where x_m = y_m = 0 is"
         raise InputFileError(str(calibration), "control points in metres", expected)
     homography = fit_homography(points)
-    source = tracks or bag
-    assert source is not None
     with status(f"reading {source}"):
         if tracks:
             from geoorbit_ros.storage.track_csv import read_track_csv

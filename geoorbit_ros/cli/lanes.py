@@ -50,7 +50,7 @@ def lanes(
     from geoorbit_ros.report.recording import Recording
     from geoorbit_ros.storage.atomic import atomic_output
 
-    camera = load_camera(tracks, bag, calibration, camera_id, image_size, datum)
+    camera = load_camera(tracks, bag, calibration, camera_id, image_size, datum, out)
     recording = Recording()
     with atomic_output(out) as path:
         ground = camera.ground_tracks()
@@ -68,4 +68,4 @@ def lanes(
         method = describe_method(estimator.value, update_period_s)
         save_report(report, camera, lane_map, recording, method)
     print_lanes(lane_map, f"Lanes of {camera.camera_id}")
-    console.print(f"  Wrote {out}" + (f" and {report}" if report else ""), soft_wrap=True)
+    console.print(f" Wrote {out}" + (f" and {report}" if report else ""), soft_wrap=True)

@@ -60,7 +60,7 @@ def report(
     from geoorbit_ros.report.recording import Recording
     from geoorbit_ros.report.words import summary_sentence
 
-    camera = load_camera(tracks, bag, calibration, camera_id, image_size, datum)
+    camera = load_camera(tracks, bag, calibration, camera_id, image_size, datum, out)
     true = read_lanes(truth, camera.datum).lanes if truth else None
     recording = Recording()
     ground = recording.tee(camera.ground_tracks())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from geoorbit_ros.cli.console import console, make_table
+from geoorbit_ros.cli.console import console, make_table, say
 from geoorbit_ros.report.words import (
     compass,
     missing_sentence,
@@ -39,8 +39,8 @@ def print_lanes(lane_map: LaneMap, title: str = "Lanes") -> None:
     console.print(table)
     for lane in lane_map.lanes:
         if lane.status == "tentative":
-            console.print(f"  {missing_sentence(lane)}")
-    console.print(f"  {summary_sentence(lane_map.lanes)}")
+            say(missing_sentence(lane))
+    say(summary_sentence(lane_map.lanes))
 
 
 def print_score(score: LaneScore) -> None:
@@ -68,4 +68,4 @@ def print_score(score: LaneScore) -> None:
         )
     console.print(table)
     for sentence in score_sentences(score):
-        console.print(f"  {sentence}")
+        say(sentence)

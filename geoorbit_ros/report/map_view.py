@@ -15,6 +15,8 @@ from geoorbit_ros.report.svg import Canvas, nice_step
 WIDTH_PX = 1040.0
 MIN_HEIGHT_PX, MAX_HEIGHT_PX = 260.0, 760.0
 MAX_STRETCH = 4
+FOOT_PX = 32.0
+"""Room below the road for the scale bar."""
 ELONGATED = 1.6
 """A road this much longer than wide is turned to lie along the page; others keep north up."""
 
@@ -68,7 +70,8 @@ def fit_map_frame(points_m: NDArray[np.float64]) -> MapFrame:
         stretch = int(np.clip(MIN_HEIGHT_PX // (scale * span[1]) + 1, 1, MAX_STRETCH))
     scales = np.array([scale, scale * stretch])
     height = float(np.clip(span[1] * scales[1], 160.0, MAX_HEIGHT_PX))
-    return MapFrame(turn, (low + high) / 2, scales, (WIDTH_PX, height))
+    middle = (low + high) / 2 - np.array([0.0, FOOT_PX / 2 / scales[1]])
+    return MapFrame(turn, middle, scales, (WIDTH_PX, height + FOOT_PX))
 
 
 def map_view(

@@ -118,7 +118,7 @@ def _pictures(content: ReportInput) -> str:
     if len(lane_map.visible_m):
         caption.append("The shaded ground is where one lane can be told from the next.")
     if content.truth:
-        caption.append("Thin dark lines are the true lanes.")
+        caption.append("Thin lines are the true lanes.")
     camera = image_view(lane_map, paths, content.homography, content.image_size)
     near_far = _range_m(content)
     sees = ""
@@ -176,7 +176,7 @@ def _range_m(content: ReportInput) -> tuple[float, ...]:
         return ()
     ground = content.lane_map.visible_m
     if not len(ground):
-        lines = [lane.centerline_m for lane in content.lane_map.lanes]
+        lines = [lane.centerline_m for lane in content.lane_map.confirmed]
         ground = np.vstack(lines) if lines else ground
     if not len(ground):
         return ()

@@ -47,7 +47,7 @@ class Canvas:
     def badge(self, at: NDArray[np.float64], text: str, css: str, tip: str = "") -> None:
         """A small filled circle at pixel (2,) with a number in it."""
         x, y = at
-        radius = 8.5 if len(text) < 3 else 11.5
+        radius = 6.0 + 2.5 * len(text)
         title = f"<title>{escape(tip)}</title>" if tip else ""
         self._parts.append(
             f'<g class="badge {css}"><circle cx="{x:.1f}" cy="{y:.1f}" r="{radius}"/>'

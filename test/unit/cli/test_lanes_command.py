@@ -1,0 +1,229 @@
+"""`geoorbit lanes`, `score` and `report` end to end, and what wrong input gets."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from camera_files import CameraFiles, write_tracks
+
+from geoorbit_ros.cli.main import main
+
+Run = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Run:
+    """Run the command in this process: exit code, standard output, standard error."""
+    monkeypatch.setenv("COLUMNS", "120")
+
+    def call(*words: object) -> tuple[int, str, str]:
+        code = main([str(word) for word in words])
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return call
+
+
+def lanes_of(camera: CameraFiles, out: Path, *more: object) -> tuple[object, ...]:
+    tracks = ("--tracks", camera.tracks, "--calibration", camera.calibration)
+    return ("lanes", *tracks, "--out", out, *more)
+
+
+@pytest.fixture(scope="module")
+def found(camera: CameraFiles, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("found") / "lanes.geojson"
+    report = out.with_name("report.html")
+    assert main([str(w) for w in lanes_of(camera, out, "--report", report)]) == 0
+    return out
+
+
+def test_lanes_are_found_and_score_against_the_truth(
+    camera: CameraFiles, found: Path, run: Run
+) -> None:
+    code, out, err = run("score", found, camera.truth, "--json", "--require")
+    score = json.loads(out)
+    assert (code, err) == (0, "")
+    assert (score["confirmed"], score["invented"], score["missed"]) == (2, [], [])
+    assert score["centerline_mean_m"] < 0.2
+    data = json.loads(found.read_text(encoding="utf-8"))
+    assert data["geoorbit"]["camera_id"] == camera.folder.name
+    assert found.with_name("report.html").stat().st_size > 10_000
+
+
+def test_lanes_prints_a_row_per_lane(camera: CameraFiles, tmp_path: Path, run: Run) -> None:
+    code, out, _ = run(*lanes_of(camera, tmp_path / "l.geojson"))
+    assert code == 0
+    assert len(re.findall(r"confirmed +E +\d+°", out)) == 2
+    assert "2 lanes confirmed (2 towards E)." in out
+
+
+def test_the_same_tracks_give_the_same_bytes(
+    camera: CameraFiles, found: Path, tmp_path: Path, run: Run
+) -> None:
+    again = tmp_path / "lanes.geojson"
+    run(*lanes_of(camera, again, "--report", tmp_path / "report.html"))
+    assert again.read_bytes() == found.read_bytes()
+    report = found.with_name("report.html")
+    assert (tmp_path / "report.html").read_bytes() == report.read_bytes()
+
+
+def test_score_table_says_what_is_missed(
+    camera: CameraFiles, found: Path, tmp_path: Path, run: Run
+) -> None:
+    data = json.loads(found.read_text(encoding="utf-8"))
+    gone = data["features"][0]["properties"]["lane_id"]
+    data["features"] = [f for f in data["features"] if f["properties"]["lane_id"] != gone]
+    one = tmp_path / "one.geojson"
+    one.write_text(json.dumps(data), encoding="utf-8")
+    code, out, _ = run("score", one, camera.truth)
+    assert code == 0
+    assert "1 of 2 lanes found" in out and "missed" in out
+    assert run("score", one, camera.truth, "--require")[0] == 1
+    code, out, _ = run("score", found, one, "--require")
+    assert code == 1 and "1 invented" in out
+
+
+def test_report_draws_given_lanes_and_scores_them(
+    camera: CameraFiles, found: Path, tmp_path: Path, run: Run
+) -> None:
+    out = tmp_path / "report.html"
+    tracks = ("--tracks", camera.tracks, "--calibration", camera.calibration)
+    code, _, _ = run("report", *tracks, "--lanes", found, "--truth", camera.truth, "--out", out)
+    page = out.read_text(encoding="utf-8")
+    assert code == 0
+    assert "Against the truth" in page and "2 of 2 lanes found" in page
+
+
+# Wrong input: what to break, and the words the sentence must have.
+
+
+def edited(path: Path, folder: Path, change: Callable[[list[str]], list[str]]) -> Path:
+    lines = path.read_text(encoding="utf-8").splitlines()
+    broken = folder / f"broken{path.suffix}"
+    broken.write_text("\n".join(change(lines)) + "\n", encoding="utf-8")
+    return broken
+
+
+TRACKS: list[tuple[str, Callable[[list[str]], list[str]], tuple[str, ...]]] = [
+    ("missing column", lambda x: [x[0].replace(",conf", ",trust"), *x[1:]], ("conf",)),
+    ("nan", lambda x: [*x[:5], re.sub(r",2,0\.9,[^,]+", ",2,0.9,nan", x[5]), *x[6:]], ("line 6",)),
+    ("text", lambda x: [*x[:3], x[3].replace(",0.9,", ",sure,"), *x[4:]], ("line 4", "sure")),
+    ("no rows", lambda x: x[:1], ("broken.csv",)),
+    ("back in time", lambda x: [x[0], *x[-20:], *x[1:50]], ("broken.csv", "line")),
+]
+POINTS: list[tuple[str, Callable[[list[str]], list[str]], tuple[str, ...]]] = [
+    ("three points", lambda x: x[:4], ("3 control points", "at least 4")),
+    ("on one line", lambda x: [x[0], *x[1::3]], ("line",)),
+    (
+        "swapped",
+        lambda x: [x[0], *(",".join((*r.split(",")[:2], *r.split(",")[:1:-1])) for r in x[1:])],
+        ("swapped",),
+    ),
+    ("no header", lambda x: x[1:], ("line 1", "pixel_x")),
+]
+
+
+def check_refusal(result: tuple[int, str, str], out: Path, words: tuple[str, ...]) -> None:
+    code, _, err = result
+    assert code == 2
+    assert err.startswith("geoorbit: ") and err.count("\n") == 1 and "Traceback" not in err
+    for word in words:
+        assert word in err
+    assert list(out.parent.iterdir()) == [], "partial output"
+
+
+@pytest.mark.parametrize(("change", "words"), [t[1:] for t in TRACKS], ids=[t[0] for t in TRACKS])
+def test_wrong_tracks(
+    camera: CameraFiles, tmp_path: Path, run: Run, change: Any, words: tuple[str, ...]
+) -> None:
+    folder, out = tmp_path / "in", tmp_path / "out" / "lanes.geojson"
+    folder.mkdir()
+    out.parent.mkdir()
+    tracks = ("--tracks", edited(camera.tracks, folder, change))
+    result = run("lanes", *tracks, "--calibration", camera.calibration, "--out", out)
+    check_refusal(result, out, words)
+
+
+@pytest.mark.parametrize(("change", "words"), [t[1:] for t in POINTS], ids=[t[0] for t in POINTS])
+def test_wrong_calibration(
+    camera: CameraFiles, tmp_path: Path, run: Run, change: Any, words: tuple[str, ...]
+) -> None:
+    folder, out = tmp_path / "in", tmp_path / "out" / "lanes.geojson"
+    folder.mkdir()
+    out.parent.mkdir()
+    points = ("--calibration", edited(camera.calibration, folder, change))
+    check_refusal(run("lanes", "--tracks", camera.tracks, *points, "--out", out), out, words)
+
+
+def test_a_camera_with_no_traffic(camera: CameraFiles, tmp_path: Path, run: Run) -> None:
+    folder, out = tmp_path / "in", tmp_path / "out" / "lanes.geojson"
+    folder.mkdir()
+    out.parent.mkdir()
+
+    def parked(lines: list[str]) -> list[str]:
+        cells = lines[20].split(",")
+        return [lines[0], *(",".join(("1", f"{k / 10}", str(k), *cells[3:])) for k in range(200))]
+
+    tracks = ("--tracks", edited(camera.tracks, folder, parked))
+    result = run("lanes", *tracks, "--calibration", camera.calibration, "--out", out)
+    check_refusal(result, out, ("broken.csv", "vehicles driving by"))
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--image-size", "big"), ("--image-size", "'big'", "1920x1080")),
+        (("--datum", "43"), ("--datum", "'43'", "LATITUDE,LONGITUDE")),
+        (("--datum", "95,0"), ("--datum", "'95,0'")),
+    ],
+)
+def test_wrong_options(
+    camera: CameraFiles,
+    tmp_path: Path,
+    run: Run,
+    options: tuple[str, ...],
+    words: tuple[str, ...],
+) -> None:
+    out = tmp_path / "lanes.geojson"
+    check_refusal(run(*lanes_of(camera, out, *options)), out, words)
+
+
+def test_tracks_or_bag_but_not_both_or_neither(
+    camera: CameraFiles, tmp_path: Path, run: Run
+) -> None:
+    out = tmp_path / "lanes.geojson"
+    for source in ((), ("--tracks", camera.tracks, "--bag", tmp_path)):
+        result = run("lanes", *source, "--calibration", camera.calibration, "--out", out)
+        check_refusal(result, out, ("--tracks and --bag", "exactly one"))
+
+
+def test_points_in_metres_need_a_datum(camera: CameraFiles, tmp_path: Path, run: Run) -> None:
+    metres = tmp_path / "in.csv"
+    metres.write_text("pixel_x,pixel_y,x_m,y_m\n100,900,0,0\n1800,900,10,0\n1100,400,12,60\n"
+                      "800,400,0,60\n", encoding="utf-8")  # fmt: skip
+    out = tmp_path / "out" / "lanes.geojson"
+    out.parent.mkdir()
+    result = run("lanes", "--tracks", camera.tracks, "--calibration", metres, "--out", out)
+    check_refusal(result, out, ("in.csv", "metres", "--datum"))
+
+
+def test_an_input_is_never_overwritten(tmp_path: Path, camera: CameraFiles, run: Run) -> None:
+    tracks = tmp_path / "tracks.csv"
+    write_tracks(tracks, 3)
+    before = tracks.read_bytes()
+    for command in ("lanes", "report"):
+        source = ("--tracks", tracks, "--calibration", camera.calibration)
+        code, _, err = run(command, *source, "--out", tracks)
+        assert code == 2 and "tracks.csv" in err
+    assert tracks.read_bytes() == before
+
+
+def test_score_of_a_file_that_is_none(camera: CameraFiles, tmp_path: Path, run: Run) -> None:
+    code, out, err = run("score", tmp_path / "absent.geojson", camera.truth)
+    assert (code, out) == (2, "")
+    assert "absent.geojson: found No such file" in err
