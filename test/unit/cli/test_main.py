@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 import subprocess
 import sys
@@ -10,7 +11,10 @@ import pytest
 
 from geoorbit_ros import __version__
 from geoorbit_ros.cli import main as cli
+from geoorbit_ros.cli.lanes import lanes
+from geoorbit_ros.cli.report import report
 from geoorbit_ros.core.errors import InputFileError
+from geoorbit_ros.lanes.mapper import DEFAULT_UPDATE_PERIOD_S
 
 COMMANDS = ("demo", "lanes", "replay", "score", "report", "scene", "bag", "db")
 
@@ -55,6 +59,12 @@ def test_help_loads_nothing_heavy() -> None:
     heavy = "{'numpy', 'scipy', 'rclpy', 'pyproj', 'cv2', 'libsumo', 'pyarrow', 'sklearn', 'yaml'}"
     done = python(f"import sys, geoorbit_ros.cli.main; print(sorted({heavy} & set(sys.modules)))")
     assert done.stdout.strip() == "[]", done.stderr
+
+
+def test_the_default_update_period_is_the_mappers() -> None:
+    for command in (lanes, report):
+        default = inspect.signature(command).parameters["update_period_s"].default
+        assert default == DEFAULT_UPDATE_PERIOD_S
 
 
 def test_a_known_error_is_one_sentence_and_exit_code_2(
