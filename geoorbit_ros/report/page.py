@@ -157,9 +157,9 @@ def _calibration(content: ReportInput) -> str:
     used = residual.inlier
     sentence = (
         f"{int(used.sum())} of {count(len(used), 'control point')} used. Their error is "
-        f"{number(float(np.median(residual.pixel_error[used])), 1)} px in the image and "
-        f"{number(float(np.median(residual.ground_error_m[used])))} m on the road in the middle, "
-        f"{number(float(residual.ground_error_m[used].max()))} m at worst."
+        f"{number(float(np.median(residual.pixel_error[used])))} px in the image and "
+        f"{number(float(np.median(residual.ground_error_m[used])), 3)} m on the road in the middle, "
+        f"{number(float(residual.ground_error_m[used].max()), 3)} m at worst."
     )
     return _section(
         "Calibration",

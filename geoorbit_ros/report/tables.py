@@ -115,10 +115,10 @@ def calibration_table(homography: Homography) -> str:
                 f"{points.pixel[k, 1]:.1f}",
                 f"{points.local_m[k, 0]:.2f}",
                 f"{points.local_m[k, 1]:.2f}",
-                number(float(residual.pixel_error[k]), 1),
+                number(float(residual.pixel_error[k])),
                 _bar(
                     float(residual.ground_error_m[k]) / worst,
-                    f"{number(float(residual.ground_error_m[k]))} m"
+                    f"{number(float(residual.ground_error_m[k]), 3)} m"
                     + ("" if residual.inlier[k] else " · rejected, disagrees with the others"),
                 ),
             )
