@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import InputFileError
 
+_NO_ROW = ("no row below the header", "at least one row")
 _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*")
 
 
@@ -39,7 +40,7 @@ class CsvColumns:
         """Blame row `row` (from 0); `found` defaults to the text in the file."""
         for k, (number, cells) in enumerate(_data_lines(self.path, self.header_line)):
             if k == row:
-                text = found or f"'{cells[self.names.index(column)]}'"
+                text = found or _quoted(cells[self.names.index(column)])
                 raise InputFileError(
                     f"{self.path}, line {number}, column '{column}'", text, expected
                 )
@@ -74,13 +75,15 @@ def read_columns(path: str | Path, types: Mapping[str, pa.DataType], what: str) 
     try:
         table = pacsv.read_csv(place, read_options=layout, convert_options=options)
     except pa.ArrowInvalid as error:
+        if next(_data_lines(place, header_line), None) is None:
+            raise InputFileError(place, *_NO_ROW) from None
         _blame_line(place, names, header_line, types)
         raise InputFileError(place, str(error).split("\n")[0], expected) from None
     columns = CsvColumns(
         place, names, header_line, {name: table[name].to_numpy() for name in types}
     )
     if table.num_rows == 0:
-        raise InputFileError(place, "no row below the header", "at least one row")
+        raise InputFileError(place, *_NO_ROW)
     for name, values in columns.values.items():
         if values.dtype.kind == "f" and not np.isfinite(values).all():
             columns.fail(int(np.argmin(np.isfinite(values))), name, "a finite number")
@@ -128,5 +131,11 @@ def _blame_line(
             )
         for name, k in index:
             if not _NUMBER.fullmatch(cells[k]):
-                text = cells[k] if len(cells[k]) < 60 else cells[k][:60] + "..."
-                raise InputFileError(f"{where}, column '{name}'", f"'{text}'", "a finite number")
+                raise InputFileError(
+                    f"{where}, column '{name}'", _quoted(cells[k]), "a finite number"
+                )
+
+
+def _quoted(text: str) -> str:
+    """The cell in quotes, without control characters, not too long to read."""
+    return repr(text if len(text) < 60 else text[:60] + "...")

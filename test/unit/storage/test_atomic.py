@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from geoorbit_ros.core.errors import InputFileError
+from geoorbit_ros.storage.atomic import atomic_output
+
+
+def write_half(path: Path, *, folder: bool = False, overwrite: bool = False) -> None:
+    with atomic_output(path, overwrite=overwrite) as temporary:
+        if folder:
+            temporary.mkdir()
+            (temporary / "part").write_text("new")
+        else:
+            temporary.write_text("new")
+        raise RuntimeError
+
+
+@pytest.mark.parametrize("folder", [False, True])
+def test_failure_leaves_no_trace(tmp_path: Path, folder: bool) -> None:
+    with pytest.raises(RuntimeError):
+        write_half(tmp_path / "made" / "deep" / "out", folder=folder)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_failure_keeps_what_was_there(tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("old")
+    with pytest.raises(RuntimeError):
+        write_half(tmp_path / "out")
+    assert (tmp_path / "out").read_text() == "old"
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_nothing_is_visible_before_the_end(tmp_path: Path) -> None:
+    out = tmp_path / "made" / "out.csv"
+    with atomic_output(out) as temporary:
+        temporary.write_text("new")
+        assert not out.exists()
+        assert temporary.name == out.name
+    assert out.read_text() == "new"
+    assert [path.name for path in out.parent.iterdir()] == ["out.csv"]
+
+
+def test_a_file_is_replaced(tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("old")
+    with atomic_output(tmp_path / "out") as temporary:
+        temporary.write_text("new")
+    assert (tmp_path / "out").read_text() == "new"
+
+
+def test_a_folder_with_content_is_refused_before_any_work(tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "precious").write_text("old")
+    with (
+        pytest.raises(InputFileError, match="folder with content"),
+        atomic_output(tmp_path / "out"),
+    ):
+        pytest.fail("the block must not run")
+    assert (tmp_path / "out" / "precious").read_text() == "old"
+
+
+def test_a_folder_is_replaced_on_demand_and_kept_on_failure(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "old").write_text("old")
+    with pytest.raises(RuntimeError):
+        write_half(out, folder=True, overwrite=True)
+    assert [path.name for path in out.iterdir()] == ["old"]
+    with atomic_output(out, overwrite=True) as temporary:
+        temporary.mkdir()
+        (temporary / "new").write_text("new")
+    assert [path.name for path in out.iterdir()] == ["new"]
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_an_empty_folder_gives_way(tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    with atomic_output(tmp_path / "out") as temporary:
+        temporary.write_text("a file")
+    assert (tmp_path / "out").read_text() == "a file"
+
+
+def test_a_file_where_a_folder_must_be_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputFileError, match="file"), atomic_output(tmp_path / "file" / "out"):
+        pytest.fail("the block must not run")
