@@ -1,4 +1,4 @@
-"""Both installers put every file where ROS 2 looks for it, and every installed executable starts."""
+"""Both installers put every file where ROS 2 looks for it; every installed executable starts."""
 
 import os
 import shutil
