@@ -214,3 +214,17 @@ def test_hash_of_a_folder_depends_on_content_only(tmp_path: Path) -> None:
     assert sha256(tmp_path / "a") == sha256(tmp_path / "b")
     (tmp_path / "b" / "2").write_text("3")
     assert sha256(tmp_path / "a") != sha256(tmp_path / "b")
+
+
+def test_a_busy_day_stays_a_small_page() -> None:
+    kept = Recording()
+    vehicles = np.arange(2000)
+    frames = []
+    for k in range(150):
+        rows = np.zeros(len(vehicles), TRACK_DTYPE)
+        rows["track_id"], rows["x"], rows["y"] = vehicles, 20.0 + 2.0 * k, vehicles % 9
+        frames.append((k * 100_000_000, rows))
+    list(kept.tee(frames))
+    html = report_html(replace(content(), recording=kept))
+    assert "500 of 2000 vehicle paths" in html
+    assert len(html) < 3_000_000
