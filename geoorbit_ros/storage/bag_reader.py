@@ -83,6 +83,8 @@ def open_bag(path: str | Path) -> Iterator[Reader]:
     if folder.is_file() and folder.suffix not in (".mcap", ".db3"):
         raise InputFileError(str(path), f"a file named '{folder.name}'", _EXPECTED)
     try:
+        for file in folder.glob("*.db3") if folder.is_dir() else [folder]:
+            _refuse_short_database(file)
         with Reader(folder) as reader:
             yield reader
     except GeoOrbitError:
@@ -154,3 +156,21 @@ def messages(reader: Reader, topics: Collection[str] = ()) -> Iterator[BagMessag
             f"{count} messages",
             f"{announced} as its metadata says (is it cut off?)",
         )
+
+
+def _refuse_short_database(file: Path) -> None:
+    """SQLite reads a last page that is cut off as if it ended in zeros; its header knows better.
+
+    Raises:
+        ValueError: The file is shorter than the header says
+            (https://sqlite.org/fileformat2.html#the_database_header).
+    """
+    with file.open("rb") as stream:
+        header = stream.read(100)
+    if len(header) < 100 or not header.startswith(b"SQLite format 3\0"):
+        return
+    page_size, pages = int.from_bytes(header[16:18]), int.from_bytes(header[28:32])
+    size = pages * (65536 if page_size == 1 else page_size)
+    current = header[24:28] == header[92:96]  # else an old SQLite wrote last and left `pages` alone
+    if current and file.stat().st_size < size:
+        raise ValueError(f"{file.stat().st_size} of {size} bytes")
