@@ -152,7 +152,7 @@ class TrajectoryReader:
 
 def _cut(frames: Frames, start_ns: int, end_ns: int) -> Frames:
     """The frames with start_ns <= stamp < end_ns."""
-    first, last = np.searchsorted(frames.stamp_ns, (start_ns, end_ns))
+    first, last = np.searchsorted(frames.stamp_ns, (start_ns, max(start_ns, end_ns)))
     offset = frames.offset[first : last + 1]
     rows = frames.rows[offset[0] : offset[-1]]
     return Frames(frames.stamp_ns[first:last], offset - offset[0], rows)

@@ -103,9 +103,11 @@ def _value(connection: sqlite3.Connection, pragma: str) -> int:
 
 def _check(connection: sqlite3.Connection, path: Path, latest: int, read_only: bool) -> int:
     """The file's schema version, 0 for an empty file that may become a database."""
+    connection.execute("BEGIN")  # one state of the file, should another process be making it
     version = _value(connection, "user_version")
     foreign = _value(connection, "application_id") != APPLICATION_ID
     empty = _value(connection, "schema_version") == 0
+    connection.execute("COMMIT")
     if (foreign and not empty) or (empty and read_only):
         found = "an empty file" if empty else "a SQLite database of another program"
         raise InputFileError(str(path), found, "a trajectory database")
