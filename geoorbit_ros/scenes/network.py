@@ -1,0 +1,92 @@
+"""The scene's roads as a SUMO network, made by SUMO's own netconvert."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+from xml.etree import ElementTree as Xml
+
+import sumolib
+
+from geoorbit_ros.core.errors import GeoOrbitError
+from geoorbit_ros.scenes.roads import PlacedRoad, successors
+
+TIME_LIMIT_S = 60.0
+
+
+class NetworkError(GeoOrbitError):
+    """SUMO can't make a network of the scene's roads."""
+
+
+def write_network(placed: dict[str, PlacedRoad], folder: Path) -> Path:
+    """Write plain XML, run netconvert, return the path of `net.xml`.
+
+    Raises:
+        NetworkError: netconvert refuses the roads or does not end.
+    """
+    nodes, edges = Xml.Element("nodes"), Xml.Element("edges")
+    connections = Xml.Element("connections")
+    start = {name: _start_node(name, p) for name, p in placed.items()}
+    end = {name: _end_node(name, p, start) for name, p in placed.items()}
+    positions = {}
+    for name, place in placed.items():
+        positions.setdefault(end[name], place.border_m[-1])
+        if start[name] == f"{name}_start":
+            positions[start[name]] = place.border_m[0]
+    for node, (x, y) in sorted(positions.items()):
+        Xml.SubElement(nodes, "node", id=node, x=f"{x:.4f}", y=f"{y:.4f}", keepClear="false")
+    for name, place in placed.items():
+        shape = " ".join(f"{x:.4f},{y:.4f}" for x, y in place.border_m)
+        Xml.SubElement(
+            edges,
+            "edge",
+            {"id": name, "from": start[name], "to": end[name]},
+            numLanes=str(place.road.lanes),
+            width=f"{place.width_m:.3f}",
+            speed=f"{place.road.speed_kmh / 3.6:.3f}",
+            shape=shape,
+            spreadType="right",
+        )
+    for (road, lane), nexts in successors(placed).items():
+        for next_road, next_lane in nexts:
+            Xml.SubElement(
+                connections,
+                "connection",
+                {"from": road, "to": next_road},
+                fromLane=str(lane),
+                toLane=str(next_lane),
+            )
+    for stem, tree in (("nod", nodes), ("edg", edges), ("con", connections)):
+        Xml.ElementTree(tree).write(folder / f"scene.{stem}.xml", encoding="utf-8")
+    net = folder / "scene.net.xml"
+    command = [
+        sumolib.checkBinary("netconvert"),
+        f"--node-files={folder / 'scene.nod.xml'}",
+        f"--edge-files={folder / 'scene.edg.xml'}",
+        f"--connection-files={folder / 'scene.con.xml'}",
+        f"--output-file={net}",
+        "--offset.disable-normalization=true",
+        "--no-turnarounds=true",
+        "--junctions.limit-turn-speed=-1",
+        "--geometry.max-angle.fix=false",
+    ]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=TIME_LIMIT_S)
+    except subprocess.TimeoutExpired as error:
+        raise NetworkError("netconvert", f"no end after {TIME_LIMIT_S} s", "a network") from error
+    if done.returncode != 0 or not net.exists():
+        raise NetworkError("netconvert", done.stderr.strip()[-300:], "a network")
+    return net
+
+
+def _start_node(name: str, place: PlacedRoad) -> str:
+    if place.road.follows:
+        return f"{place.road.follows}_end"
+    if place.road.leaves:
+        return f"{place.road.leaves.road}_end"
+    return f"{name}_start"
+
+
+def _end_node(name: str, place: PlacedRoad, start: dict[str, str]) -> str:
+    """A ramp ends at the node where the road that it joins begins."""
+    return start[place.road.joins.road] if place.road.joins else f"{name}_end"

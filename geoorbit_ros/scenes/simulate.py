@@ -1,0 +1,181 @@
+"""A scene run: traffic, wander, camera, faults, and the truth that the camera could have seen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.calibration.control_points import ControlPoints
+from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.core.lanes import Lane
+from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE, TRACK_DTYPE, Frames
+from geoorbit_ros.scenes.camera import PinholeCamera, look_at
+from geoorbit_ros.scenes.detector_model import DetectorModel, View
+from geoorbit_ros.scenes.roads import PlacedRoad, place_roads
+from geoorbit_ros.scenes.scene import Scene
+from geoorbit_ros.scenes.survey import survey_control_points
+from geoorbit_ros.scenes.traffic import STEP_S, TrafficRecord, simulate_traffic
+from geoorbit_ros.scenes.truth import TruthCounter, visible_lanes
+from geoorbit_ros.scenes.vehicles import VEHICLE_TYPES
+
+Progress = Callable[[str, float], None]
+"""Called with what is being done and the share of it that is."""
+
+WANDER_TIME_S = 4.0
+CLEAN_SIGMA_M = 0.02
+START_NS = 1_000_000_000
+"""Stamp of the first frame; zero stamps mean 'unset' in ROS."""
+
+
+@dataclass(frozen=True)
+class SceneRun:
+    """What one run of a scene gives.
+
+    Attributes:
+        scene: The scene.
+        frames: `PIXEL_TRACK_DTYPE` boxes as the camera's tracker reports them.
+        clean: `TRACK_DTYPE` true ground points of the vehicles in the camera's view.
+        truth: Lanes, cut to what the camera sees, in the map frame at `datum`.
+        datum: Origin of the map frame.
+        control_points: Surveyed points with their pixels.
+        camera: The true camera.
+    """
+
+    scene: Scene
+    frames: Frames
+    clean: Frames
+    truth: tuple[Lane, ...]
+    datum: Datum
+    control_points: ControlPoints
+    camera: PinholeCamera
+
+    @property
+    def image_size(self) -> tuple[int, int]:
+        """Width and height in pixels."""
+        return self.camera.image_size
+
+    @property
+    def lane_vehicles(self) -> dict[int, int]:
+        """Vehicles that the camera saw drive along each lane, by lane id."""
+        return {lane.lane_id: round(lane.vehicles) for lane in self.truth}
+
+
+def simulate(
+    scene: Scene, duration_s: float, seed: int, progress: Progress | None = None
+) -> SceneRun:
+    """Run a scene. The same scene, duration and seed give the same bits.
+
+    Raises:
+        InputFileError: The scene's roads contradict each other.
+        NetworkError, TrafficError: SUMO refuses them.
+    """
+    report = progress or (lambda _what, _share: None)
+    placed = place_roads(scene)
+    camera = _camera(scene, placed)
+    report("traffic", 0.0)
+    record = simulate_traffic(scene, placed, duration_s, seed)
+    report("traffic", 1.0)
+    wandered = _wander(record, scene, seed)
+    lanes = visible_lanes(placed, camera)
+    counter = TruthCounter(lanes, record.lane_names)
+    model = DetectorModel(camera, scene.detector, seed)
+    random = np.random.default_rng([seed, 3])
+    stamps, noisy, clean = [], [], []
+    frame_count = int(duration_s * scene.camera.fps)
+    for k in range(frame_count):
+        ideal_s = k / scene.camera.fps
+        jitter = scene.detector.time_jitter_s * float(np.clip(random.standard_normal(), -3.0, 3.0))
+        time_s = max(ideal_s + min(jitter, 0.3 / scene.camera.fps), 0.0)
+        view, lane = _view(record, wandered, time_s)
+        rows, vehicles = model.detect(time_s, view)
+        counter.count(vehicles, view, lane)
+        stamps.append(START_NS + round(time_s * 1e9))
+        noisy.append(rows)
+        clean.append(_clean_rows(view, vehicles))
+        if k % 50 == 0:
+            report("camera", k / frame_count)
+    report("camera", 1.0)
+    datum = Datum(scene.place.latitude_deg, scene.place.longitude_deg)
+    stamp_ns = np.array(stamps, dtype=np.int64)
+    return SceneRun(
+        scene,
+        _frames(stamp_ns, noisy, PIXEL_TRACK_DTYPE),
+        _frames(stamp_ns, clean, TRACK_DTYPE),
+        counter.lanes(),
+        datum,
+        survey_control_points(placed, camera, datum, seed),
+        camera,
+    )
+
+
+def _camera(scene: Scene, placed: dict[str, PlacedRoad]) -> PinholeCamera:
+    pole, target = scene.camera.pole, scene.camera.look_at
+    centre = np.append(placed[pole.road].point(pole.along_m, pole.right_m), scene.camera.height_m)
+    middle = np.append(placed[target.road].point(target.along_m, target.right_m), 0.0)
+    return look_at(centre, middle, scene.camera.horizontal_fov_deg, scene.camera.image_size)
+
+
+def _wander(record: TrafficRecord, scene: Scene, seed: int) -> NDArray[np.float64]:
+    """(N, 2) positions with each driver's habit and slow wander across the lane."""
+    random = np.random.default_rng([seed, 4])
+    count = len(record.vehicle_types)
+    habit = scene.traffic.driver_offset_sigma_m * np.clip(random.standard_normal(count), -2.0, 2.0)
+    steps = int(record.step.max(initial=0)) + 1
+    fade = np.exp(-STEP_S / WANDER_TIME_S)
+    noise = random.standard_normal((steps, count))
+    drift = np.empty_like(noise)
+    drift[0] = noise[0]
+    for k in range(1, steps):
+        drift[k] = fade * drift[k - 1] + np.sqrt(1.0 - fade**2) * noise[k]
+    offset = (
+        habit[record.vehicle] + scene.traffic.wander_sigma_m * drift[record.step, record.vehicle]
+    )
+    normal = np.column_stack([-np.sin(record.heading), np.cos(record.heading)])
+    return np.asarray(record.xy + offset[:, None] * normal)
+
+
+def _view(
+    record: TrafficRecord, xy: NDArray[np.float64], time_s: float
+) -> tuple[View, NDArray[np.int64]]:
+    """Vehicles at `time_s`, between two steps, and the lane number of each."""
+    at = time_s / STEP_S
+    before = int(np.floor(at))
+    a = slice(*np.searchsorted(record.step, [before, before + 1]))
+    b = slice(*np.searchsorted(record.step, [before + 1, before + 2]))
+    common, ia, ib = np.intersect1d(record.vehicle[a], record.vehicle[b], return_indices=True)
+    share = at - before
+    start, end = xy[a][ia], xy[b][ib]
+    turn = record.heading[b][ib] - record.heading[a][ia]
+    turn = (turn + np.pi) % (2 * np.pi) - np.pi
+    classes = np.array([VEHICLE_TYPES[t].coco_class for t in record.vehicle_types], dtype=np.int64)
+    view = View(
+        common,
+        start + share * (end - start),
+        record.heading[a][ia] + share * turn,
+        record.vehicle_sizes[common],
+        classes[common],
+    )
+    return view, record.lane[a][ia]
+
+
+def _clean_rows(view: View, seen: NDArray[np.int64]) -> NDArray[np.void]:
+    """True ground points of the vehicles that the camera saw."""
+    keep = np.isin(view.vehicle, seen)
+    rows = np.zeros(int(keep.sum()), TRACK_DTYPE)
+    rows["x"], rows["y"] = view.xy[keep].T
+    rows["heading"] = view.heading[keep]
+    rows["length"], rows["width"] = view.size[keep, 0], view.size[keep, 1]
+    rows["score"], rows["sigma"] = 1.0, CLEAN_SIGMA_M
+    rows["class_id"], rows["track_id"] = view.coco_class[keep], view.vehicle[keep] + 1
+    return rows
+
+
+def _frames(
+    stamp_ns: NDArray[np.int64], tables: list[NDArray[np.void]], dtype: np.dtype[np.void]
+) -> Frames:
+    offset = np.append(0, np.cumsum([len(t) for t in tables])).astype(np.int64)
+    data = b"".join(t.tobytes() for t in tables)
+    return Frames(stamp_ns, offset, np.frombuffer(data, dtype))
