@@ -21,7 +21,7 @@ from geoorbit_ros.storage.database_schema import (
 )
 from geoorbit_ros.storage.track_batch import decode_batch
 
-_PAGE_BATCHES = 64
+_PAGE_BATCHES = 16
 _MIN_NS, _MAX_NS = -(2**62), 2**62  # a century around 1970 that leaves room to add a span
 
 
