@@ -1,0 +1,90 @@
+"""`geoorbit bag`: from a CSV to a bag and back, every wrong input one sentence."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from camera_files import CameraFiles
+
+from geoorbit_ros.cli.main import main
+from geoorbit_ros.storage.bag import read_track_bag, write_track_bag
+from geoorbit_ros.storage.track_csv import read_track_csv
+
+
+def from_csv(camera: CameraFiles, out: Path, **changed: object) -> int:
+    options = {
+        "tracks": camera.tracks,
+        "calibration": camera.calibration,
+        "camera-id": "pole_7",
+        "out": out,
+    } | changed
+    return main(["bag", "from-csv", *(w for k, v in options.items() for w in (f"--{k}", str(v)))])
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_a_csv_becomes_a_bag_with_the_same_tracks(
+    camera: CameraFiles, tmp_path: Path, storage: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert from_csv(camera, tmp_path / "bag", storage=storage) == 0
+    assert "100% of the boxes stand on the calibrated road plane" in capsys.readouterr().out
+    bag = read_track_bag(tmp_path / "bag")
+    expected = read_track_csv(camera.tracks)
+    assert bag.camera_id == "pole_7"
+    assert bag.frames.rows.tobytes() == expected.rows.tobytes()
+    assert bag.frames.stamp_ns.tolist() == expected.stamp_ns.tolist()
+
+    assert main(["bag", "info", str(tmp_path / "bag")]) == 0
+    shown = capsys.readouterr().out
+    for part in (storage, "/pole_7/tracks_px", "PointCloud2", f"{len(expected)} messages"):
+        assert part in shown
+
+
+WRONG: list[tuple[str, str, str, str]] = [
+    ("tracks", "", "", "input.csv: found no such file"),
+    ("tracks", "id,time,frame_num,class,conf,x,y,w,h", "1,0,0,2,nan,1,2,3,4", "line 2, column 'c"),
+    ("tracks", "id,time,frame_num,class,conf,x,y,w,h", "1,0,0,2,1,5,-9999,3,4", "the horizon"),
+    ("calibration", "pixel_x,pixel_y,x_m,y_m", "1,2,3,4\n4,5,6,7", "found 2 control points"),
+    ("camera-id", "", "", "camera id: found 'pole 7'"),
+]
+
+
+@pytest.mark.parametrize(("option", "header", "lines", "sentence"), WRONG)
+def test_wrong_input_gets_one_sentence_and_leaves_nothing(
+    camera: CameraFiles,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    option: str,
+    header: str,
+    lines: str,
+    sentence: str,
+) -> None:
+    value = "pole 7" if option == "camera-id" else str(tmp_path / "input.csv")
+    if header:
+        (tmp_path / "input.csv").write_text(f"{header}\n{lines}\n")
+    assert from_csv(camera, tmp_path / "bag", **{option: value}) == 2
+    shown = capsys.readouterr()
+    assert sentence in shown.err
+    assert shown.err.count("\n") == 1
+    assert shown.out == ""
+    assert not (tmp_path / "bag").exists()
+
+
+def test_a_bag_that_is_there_is_kept(
+    camera: CameraFiles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert from_csv(camera, tmp_path / "bag") == 0
+    before = {f.name: f.read_bytes() for f in (tmp_path / "bag").iterdir()}
+    assert from_csv(camera, tmp_path / "bag") == 2
+    assert "folder with content" in capsys.readouterr().err
+    assert {f.name: f.read_bytes() for f in (tmp_path / "bag").iterdir()} == before
+
+
+def test_info_on_a_bag_cut_off(
+    camera: CameraFiles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_track_bag(tmp_path / "bag", "pole_7", read_track_csv(camera.tracks))
+    data = tmp_path / "bag" / "bag.mcap"
+    data.write_bytes(data.read_bytes()[:-100])
+    assert main(["bag", "info", str(tmp_path / "bag")]) == 2
+    assert "cut off or damaged" in capsys.readouterr().err

@@ -1,0 +1,99 @@
+"""`geoorbit db`: what is stored, and out of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from geoorbit_ros.cli.main import main
+from geoorbit_ros.cli.units import format_size, format_time, parse_time
+from geoorbit_ros.core.errors import ParameterError
+from geoorbit_ros.core.tables import TRACK_DTYPE
+from geoorbit_ros.storage.database import TrajectoryDatabase
+
+NOON_NS = 1_777_636_800 * 10**9  # 2026-05-01 12:00 UTC
+
+
+@pytest.fixture
+def database(tmp_path: Path) -> Path:
+    path = tmp_path / "tracks.db"
+    with TrajectoryDatabase(path) as database:
+        for camera_id in ("north", "south"):
+            for k in range(10):
+                database.append(camera_id, NOON_NS + k * 10**9, np.zeros(2, TRACK_DTYPE))
+        database.append_lanes("north", NOON_NS, "{}")
+    return path
+
+
+def test_info(database: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["db", "info", str(database)]) == 0
+    shown = capsys.readouterr().out
+    assert "2 cameras" in shown
+    (north,) = (line.split() for line in shown.splitlines() if "north" in line)
+    assert north == ["north", "2026-05-01", "12:00:00", "2026-05-01", "12:00:09", "10", "20", "1"]
+
+
+def test_export_of_a_part(
+    database: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "part.parquet"
+    options = ["--camera-id", "south", "--from", "2026-05-01T14:00:02+02:00", "--to"]
+    assert main(["db", "export", str(database), "--out", str(out), *options, "1777636805"]) == 0
+    table = pq.read_table(out)
+    assert set(table["camera_id"].to_pylist()) == {"south"}
+    assert table["stamp_ns"].unique().to_pylist() == [NOON_NS + k * 10**9 for k in (2, 3, 4)]
+    assert "6 rows" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (["--out", "x.csv", "--camera-id", "east"], "found 'east', expected a camera in"),
+        (["--out", "x.csv", "--from", "noon"], "option --from: found 'noon'"),
+        (["--out", "x.json"], "found 'x.json', expected a name in .csv or .parquet"),
+    ],
+)
+def test_wrong_options_get_one_sentence(
+    database: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    options: list[str],
+    sentence: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["db", "export", str(database), *options]) == 2
+    shown = capsys.readouterr()
+    assert sentence in shown.err
+    assert shown.err.count("\n") == 1
+    assert not list(tmp_path.glob("x.*"))
+
+
+@pytest.mark.parametrize("command", [["info"], ["export", "--out", "out.csv"]])
+def test_no_database_is_not_made(
+    tmp_path: Path, command: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["db", *command, str(tmp_path / "absent.db")]) == 2
+    assert "absent.db: found no such file" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_times_and_sizes() -> None:
+    assert parse_time("12.5", "t") == 12_500_000_000
+    assert parse_time("2026-05-01T12:00:00Z", "t") == NOON_NS
+    assert parse_time("2026-05-01T12", "t") == NOON_NS
+    assert parse_time("2026-05-01", "t") == NOON_NS - 43_200 * 10**9
+    for text in ("", "nan", "inf", "tomorrow"):
+        with pytest.raises(ParameterError):
+            parse_time(text, "t")
+    assert format_time(NOON_NS) == "2026-05-01 12:00:00 UTC"
+    assert format_time(1_500_000_000) == "1.500 s"
+    assert [format_size(n) for n in (999, 1000, 1_550_000, 2 * 10**9)] == [
+        "999 bytes",
+        "1.0 kB",
+        "1.6 MB",
+        "2.0 GB",
+    ]
