@@ -1,4 +1,4 @@
-"""What a detector and a tracker would have made of the traffic, with the faults that real ones have."""
+"""What a detector and a tracker would have made of the traffic, with the faults of real ones."""
 
 from __future__ import annotations
 
@@ -17,6 +17,10 @@ BIAS_TIME_S = 0.7
 """Correlation time of a box's slowly varying error: boxes breathe, they don't only jitter."""
 MIN_VISIBLE_SHARE = 0.3
 """A box cut by the image border to less than this is not detected."""
+
+GHOST_SIZE_PX = np.array([60.0, 40.0])
+"""Width and height of a false box."""
+GHOST_JITTER_PX = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,8 +158,8 @@ class DetectorModel:
             self._track[one], self._track[two] = self._track[two], self._track[one]
 
     def _add_ghosts(self, rows: NDArray[np.void]) -> None:
-        jitter = self._random.normal(0.0, 2.0, (len(rows), 4))
-        boxes = np.column_stack([self._ghosts, self._ghosts + [60.0, 40.0]]) + jitter
+        jitter = self._random.normal(0.0, GHOST_JITTER_PX, (len(rows), 4))
+        boxes = np.column_stack([self._ghosts, self._ghosts + GHOST_SIZE_PX]) + jitter
         _fill(rows, self._clip(boxes))
         rows["class_id"], rows["score"] = 2, 0.4
         rows["track_id"] = self._ghost_ids

@@ -6,7 +6,9 @@ import subprocess
 from pathlib import Path
 from xml.etree import ElementTree as Xml
 
+import numpy as np
 import sumolib
+from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.scenes.roads import PlacedRoad, successors
@@ -28,7 +30,7 @@ def write_network(placed: dict[str, PlacedRoad], folder: Path) -> Path:
     connections = Xml.Element("connections")
     start = {name: _start_node(name, p) for name, p in placed.items()}
     end = {name: _end_node(name, p, start) for name, p in placed.items()}
-    positions = {}
+    positions: dict[str, NDArray[np.float64]] = {}
     for name, place in placed.items():
         positions.setdefault(end[name], place.border_m[-1])
         if start[name] == f"{name}_start":

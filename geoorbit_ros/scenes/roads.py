@@ -1,4 +1,4 @@
-"""Road geometry of a scene: left borders from pieces, lanes as offsets, lanes chained end to end."""
+"""Road geometry of a scene: left borders from pieces, lanes as offsets, lanes end to end."""
 
 from __future__ import annotations
 

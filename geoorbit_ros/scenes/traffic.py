@@ -27,7 +27,7 @@ WARM_UP_S = 45.0
 LANE_CHANGE_S = 4.0
 TIME_LIMIT_S = 900.0
 _LEAKED = ("LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")
-"""Variables that the ROS wheels set for their own process; another interpreter must not see them."""
+"""Variables that the ROS wheels set for their own process; no other interpreter may see them."""
 
 
 class TrafficError(GeoOrbitError):

@@ -33,7 +33,7 @@ class VisibleLane:
 
 def visible_lanes(placed: dict[str, PlacedRoad], camera: PinholeCamera) -> list[VisibleLane]:
     """All lanes of which the camera sees at least `MIN_LENGTH_M`, numbered from 1."""
-    found = []
+    found: list[VisibleLane] = []
     for chain in lane_chains(placed):
         parts = [placed[road].centerline(lane) for road, lane in chain]
         line = np.concatenate([parts[0], *(p[1:] for p in parts[1:])])

@@ -19,7 +19,7 @@ class VehicleType:
 
 
 VEHICLE_TYPES: dict[str, VehicleType] = {
-    # Sizes: typical European and North American fleets (e.g. AASHTO design vehicles P, SU, WB, BUS).
+    # Sizes: typical European and North American fleets (AASHTO design vehicles P, SU, WB, BUS).
     "car": VehicleType(4.5, 1.82, 1.47, 0.05, 2, "passenger", 1.0),
     "suv": VehicleType(4.8, 1.95, 1.75, 0.05, 2, "passenger", 1.0),
     "van": VehicleType(5.6, 2.0, 2.3, 0.08, 2, "delivery", 0.97),
