@@ -10,8 +10,10 @@ from pathlib import Path
 import pytest
 
 REPOSITORY = Path(__file__).parents[2]
-TOOLS = ("bash", "cat", "cksum", "cut", "dirname", "env", "flock", "getconf")
-TOOLS += ("mkdir", "rm", "sleep", "tail", "uname")
+TOOLS = (
+    *("bash", "cat", "cksum", "cut", "dirname", "env", "flock"),
+    *("getconf", "mkdir", "rm", "sleep", "tail", "uname"),
+)
 
 # Creates what ./dev expects of a virtual environment and notes every call.
 INSTALLER = """#!/usr/bin/env bash
