@@ -1,0 +1,116 @@
+"""A scene run as the files that every other command reads."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.calibration.control_points import GEODETIC_COLUMNS, PIXEL_COLUMNS
+from geoorbit_ros.core.errors import NoTrafficError
+from geoorbit_ros.core.lanes import LaneMap
+from geoorbit_ros.core.tables import FLAG_GROUND_POINT, PIXEL_TRACK_DTYPE, Frames, frames_from_rows
+from geoorbit_ros.lanes.geojson import write_lanes
+from geoorbit_ros.scenes.simulate import SceneRun
+from geoorbit_ros.storage.atomic import atomic_output
+from geoorbit_ros.storage.bag import write_track_bag
+from geoorbit_ros.storage.track_csv import write_track_csv
+
+BAG, TRACKS, CALIBRATION = "bag", "tracks.csv", "calibration.csv"
+CLEAN_TRACKS, CLEAN_CALIBRATION = "clean_tracks.csv", "clean_calibration.csv"
+TRUTH = "truth.geojson"
+
+
+@dataclass(frozen=True, slots=True)
+class SceneFiles:
+    """Paths of what `write_scene_run` wrote.
+
+    Attributes:
+        bag: Boxes on `/<camera_id>/tracks_px`, a frame without boxes as an empty table.
+        tracks: The same boxes as `tracks.csv`.
+        calibration: The surveyed control points, with the errors of surveying and clicking.
+        clean_tracks: True ground points of the same vehicles, as pixels with `w = h = 0`.
+        clean_calibration: The same positions with their exact pixels. It belongs to the clean
+            tracks: together they show what a lane estimator does without camera and detector.
+        truth: The true lanes.
+    """
+
+    bag: Path
+    tracks: Path
+    calibration: Path
+    clean_tracks: Path
+    clean_calibration: Path
+    truth: Path
+
+
+def write_scene_run(run: SceneRun, out_dir: str | Path, camera_id: str | None = None) -> SceneFiles:
+    """Write a run into a new folder: all files or none.
+
+    Args:
+        run: The run.
+        out_dir: The folder, which must not exist (or be empty).
+        camera_id: The camera's namespace in the bag; default: the scene's name.
+
+    Raises:
+        InputFileError: `out_dir` can't be written, or holds something.
+        ParameterError: A `camera_id` that is no ROS name.
+        NoTrafficError: The camera saw no vehicle: no reader takes empty tracks.
+    """
+    name = run.scene.name if camera_id is None else camera_id
+    clean = clean_pixels(run)
+    if not len(clean.rows):
+        raise NoTrafficError(
+            f"scene '{run.scene.name}'",
+            f"no vehicle in {len(run.frames)} frames",
+            "a longer duration, or more vehicles per hour where the camera looks",
+        )
+    with atomic_output(out_dir) as folder:
+        folder.mkdir()
+        write_track_bag(folder / BAG, name, run.frames)
+        write_track_csv(folder / TRACKS, run.frames)
+        write_track_csv(folder / CLEAN_TRACKS, clean)
+        points = run.control_points
+        for file, pixel in (
+            (CALIBRATION, points.pixel),
+            (CLEAN_CALIBRATION, _ground_pixels(run, points.local_m)),
+        ):
+            text = _calibration_csv(pixel, run.datum.to_geodetic(points.local_m))
+            (folder / file).write_text(text, encoding="utf-8")
+        lane_map = LaneMap(int(run.frames.stamp_ns[-1]), run.truth)
+        write_lanes(folder / TRUTH, lane_map, run.datum, camera_id=name, estimator="truth")
+    there = Path(out_dir)
+    names = (BAG, TRACKS, CALIBRATION, CLEAN_TRACKS, CLEAN_CALIBRATION, TRUTH)
+    return SceneFiles(*(there / file for file in names))
+
+
+def clean_pixels(run: SceneRun) -> Frames:
+    """True ground points (`run.clean`) through the true camera: `PIXEL_TRACK_DTYPE` ground points.
+
+    A vehicle whose middle lies outside of the image is left out, and so is a frame without any.
+    """
+    clean = run.clean.rows
+    pixel = _ground_pixels(run, np.column_stack([clean["x"], clean["y"]]))
+    with np.errstate(invalid="ignore"):  # NaN: behind the camera
+        inside = np.all((pixel >= 0.0) & (pixel <= run.image_size), axis=1)
+    rows = np.zeros(int(inside.sum()), PIXEL_TRACK_DTYPE)
+    rows["x"], rows["y"] = pixel[inside].T
+    rows["flags"] = FLAG_GROUND_POINT
+    for field in ("score", "class_id", "track_id"):
+        rows[field] = clean[field][inside]
+    return frames_from_rows(run.clean.row_stamp_ns()[inside], rows)
+
+
+def _ground_pixels(run: SceneRun, ground_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N, 2) pixels of points (N, 2) on the road, NaN behind the camera."""
+    pixel, _ = run.camera.project(np.column_stack([ground_m, np.zeros(len(ground_m))]))
+    return pixel
+
+
+def _calibration_csv(pixel: NDArray[np.float64], geodetic: NDArray[np.float64]) -> str:
+    """The text of `calibration.csv`; nine decimals of a degree are 0.1 mm."""
+    lines = [",".join(PIXEL_COLUMNS + GEODETIC_COLUMNS)]
+    for (x, y), (latitude, longitude) in zip(pixel, geodetic, strict=True):
+        lines.append(f"{x:.6f},{y:.6f},{latitude:.9f},{longitude:.9f}")
+    return "\n".join([*lines, ""])
