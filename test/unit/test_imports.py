@@ -24,7 +24,7 @@ LEVELS = {
 
 # Who may import what from outside. Names are patterns of the imported top-level module.
 RESERVED = {
-    r"rclpy|rosidl_\w+|ament_\w+|\w+_msgs|\w+_interfaces": {
+    r"rclpy|rosidl_\w+|ament_\w+|\w+_msgs|\w+_srvs|\w+_interfaces": {
         "nodes",
         "conversions",
         "parameters",

@@ -101,13 +101,13 @@ def test_package_xml_declares_an_ament_python_package() -> None:
 def test_package_xml_names_every_imported_ros_package() -> None:
     package = ET.parse(REPOSITORY / "package.xml").getroot()
     declared = {element.text for element in package.findall("exec_depend")}
-    ros = {n for n in top_level_imports() if re.fullmatch(r"rclpy|\w+_(msgs|interfaces)", n)}
+    ros = {n for n in top_level_imports() if re.fullmatch(r"rclpy|\w+_(msgs|srvs|interfaces)", n)}
     assert ros <= declared
 
 
 def test_every_third_party_import_is_a_declared_requirement() -> None:
     runtime = pinned("runtime.txt")
-    messages = {n for n in top_level_imports() if re.fullmatch(r"\w+_(msgs|interfaces)", n)}
+    messages = {n for n in top_level_imports() if re.fullmatch(r"\w+_(msgs|srvs|interfaces)", n)}
     needed = {
         DISTRIBUTIONS.get(name, name).replace("_", "-").lower()
         for name in top_level_imports() - messages - ROS_ONLY

@@ -1,0 +1,215 @@
+"""Messages from arrays and back: the only module that knows both.
+
+What is big or frequent becomes serialised CDR at once (raw publishers take bytes), because a
+message of a thousand poses costs rclpy tens of milliseconds to fill and serialise. Layout: OMG
+DDS-RTPS 2.5 section 10, little-endian plain CDR; numbers are aligned to their size, counted from
+after the 4-byte encapsulation header.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point, Quaternion
+from numpy.typing import ArrayLike, NDArray
+from sensor_msgs.msg import NavSatFix, NavSatStatus
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker, MarkerArray
+
+from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.core.errors import MessageError
+from geoorbit_ros.core.lanes import Lane, LaneMap
+from geoorbit_ros.storage.pointcloud2 import decode_table, encode_table
+
+__all__ = [
+    "datum_from_fix",
+    "datum_to_fix",
+    "decode_string",
+    "decode_table",
+    "encode_clock",
+    "encode_path",
+    "encode_pose_array",
+    "encode_string",
+    "encode_table",
+    "lane_markers",
+    "lane_poses",
+    "path_headings",
+    "time_from_ns",
+    "vehicle_poses",
+]
+
+_CDR_HEAD = b"\x00\x01\x00\x00"
+_POSE = np.dtype([("position", "<f8", 3), ("orientation", "<f8", 4)])
+"""geometry_msgs/Pose: x y z, then the quaternion x y z w."""
+
+
+def time_from_ns(stamp_ns: int) -> Time:
+    """`builtin_interfaces/Time` of nanoseconds."""
+    second, nanosecond = divmod(stamp_ns, 1_000_000_000)
+    return Time(sec=second, nanosec=nanosecond)
+
+
+def encode_clock(stamp_ns: int) -> bytes:
+    """`rosgraph_msgs/Clock`, serialised."""
+    return _CDR_HEAD + struct.pack("<iI", *divmod(stamp_ns, 1_000_000_000))
+
+
+def encode_string(text: str) -> bytes:
+    """`std_msgs/String`, serialised."""
+    return _CDR_HEAD + _text(text)
+
+
+def decode_string(cdr: bytes, place: str) -> str:
+    """The text in a serialised `std_msgs/String`.
+
+    Raises:
+        MessageError: Bytes that are none.
+    """
+    try:
+        (size,) = struct.unpack_from("<I", cdr, 4)
+        if cdr[:2] != _CDR_HEAD[:2] or len(cdr) < 8 + size or size < 1:
+            raise MessageError(place, f"{len(cdr)} bytes of another layout", "a std_msgs/String")
+        return cdr[8 : 7 + size].decode()
+    except (struct.error, UnicodeDecodeError):
+        raise MessageError(place, f"{len(cdr)} bytes that break off", "a std_msgs/String") from None
+
+
+def encode_pose_array(
+    stamp_ns: int, frame_id: str, xy_m: ArrayLike, heading_rad: ArrayLike
+) -> bytes:
+    """`geometry_msgs/PoseArray`, serialised.
+
+    Args:
+        stamp_ns: Capture time.
+        frame_id: Frame of the poses.
+        xy_m: (N, 2) metres.
+        heading_rad: (N,) counter-clockwise from east.
+    """
+    poses = _poses(xy_m, heading_rad)
+    head = _header(stamp_ns, frame_id) + struct.pack("<I", len(poses))
+    return _CDR_HEAD + (_aligned(head) if len(poses) else head) + poses.tobytes()
+
+
+def encode_path(stamp_ns: int, frame_id: str, xy_m: ArrayLike, heading_rad: ArrayLike) -> bytes:
+    """`nav_msgs/Path` with the same header in every pose, serialised; arguments as above."""
+    poses = _poses(xy_m, heading_rad)
+    header = _header(stamp_ns, frame_id)
+    body = header + struct.pack("<I", len(poses))
+    if len(poses):
+        first = _aligned(body + header)  # the first pose starts where the sequence's length ends
+        body = first + poses[:1].tobytes()
+        each = _aligned(header)  # all others start on a multiple of eight
+        rest = np.empty(len(poses) - 1, dtype=[("header", f"V{len(each)}"), ("pose", _POSE)])
+        rest["header"] = np.void(each)
+        rest["pose"] = poses[1:]
+        body += rest.tobytes()
+    return _CDR_HEAD + body
+
+
+def path_headings(xy_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(K,) direction of travel at each point of a line (K, 2), K >= 2, from its neighbours."""
+    step = np.gradient(xy_m, axis=0)
+    return np.arctan2(step[:, 1], step[:, 0])
+
+
+def lane_poses(lanes: Iterable[Lane]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Middle (N, 2) and heading (N,) of each lane, for `encode_pose_array`."""
+    middles = np.array([lane.middle for lane in lanes]).reshape(-1, 3)
+    return middles[:, :2], middles[:, 2]
+
+
+def vehicle_poses(rows: NDArray[np.void]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Position (N, 2) and heading (N,) of `TRACK_DTYPE` rows; 0 until a vehicle has moved."""
+    xy = np.column_stack((rows["x"], rows["y"])).astype(np.float64)
+    return xy, np.nan_to_num(rows["heading"].astype(np.float64))
+
+
+def datum_to_fix(datum: Datum, frame_id: str) -> NavSatFix:
+    """The map frame's origin; its height is not known."""
+    fix = NavSatFix(
+        latitude=datum.latitude_deg,
+        longitude=datum.longitude_deg,
+        altitude=float("nan"),
+        position_covariance_type=NavSatFix.COVARIANCE_TYPE_UNKNOWN,
+    )
+    fix.header.frame_id = frame_id
+    fix.status.status = NavSatStatus.STATUS_FIX
+    return fix
+
+
+def datum_from_fix(fix: NavSatFix, place: str) -> Datum:
+    """The map frame's origin, the same float64 numbers that went into the message.
+
+    Raises:
+        MessageError: No latitude and longitude in degrees.
+    """
+    if not (abs(fix.latitude) <= 90.0 and abs(fix.longitude) <= 180.0):
+        found = f"latitude {fix.latitude}, longitude {fix.longitude}"
+        raise MessageError(place, found, "degrees from -90 to 90 and -180 to 180")
+    return Datum(fix.latitude, fix.longitude)
+
+
+def lane_markers(lane_map: LaneMap, frame_id: str) -> MarkerArray:
+    """Lines, an arrow along the direction of travel and a label for every lane.
+
+    The first marker deletes all older ones, so that vanished lanes vanish, also for a late joiner
+    who sees this message alone. Confirmed lanes are opaque, tentative ones faint.
+    """
+    header = Header(stamp=time_from_ns(lane_map.stamp_ns), frame_id=frame_id)
+    markers = [Marker(header=header, action=Marker.DELETEALL)]
+    for lane in lane_map.lanes:
+        alpha = 1.0 if lane.status == "confirmed" else 0.3
+        for role, line, colour in (
+            ("centerline", lane.centerline_m, ColorRGBA(r=0.2, g=0.8, b=1.0, a=alpha)),
+            ("left", lane.left_m, ColorRGBA(r=1.0, g=1.0, b=1.0, a=alpha)),
+            ("right", lane.right_m, ColorRGBA(r=1.0, g=1.0, b=1.0, a=alpha)),
+        ):
+            marker = _marker(header, role, lane.lane_id, Marker.LINE_STRIP, colour)
+            marker.points = [Point(x=x, y=y) for x, y in line.tolist()]
+            marker.scale.x = 0.15
+            markers.append(marker)
+        x, y, heading = lane.middle
+        amber = ColorRGBA(r=1.0, g=0.7, b=0.1, a=alpha)
+        arrow = _marker(header, "direction", lane.lane_id, Marker.ARROW, amber)
+        arrow.pose.position = Point(x=x, y=y)
+        arrow.pose.orientation = Quaternion(z=np.sin(heading / 2), w=np.cos(heading / 2))
+        arrow.scale.x, arrow.scale.y, arrow.scale.z = 8.0, 0.8, 0.8
+        label = _marker(header, "label", lane.lane_id, Marker.TEXT_VIEW_FACING, amber)
+        label.pose.position = Point(x=x, y=y, z=2.0)
+        label.scale.z = 2.0
+        label.text = f"{lane.lane_id} ({lane.width_m:.1f} m)"
+        markers += [arrow, label]
+    return MarkerArray(markers=markers)
+
+
+def _marker(header: Header, role: str, lane_id: int, kind: int, colour: ColorRGBA) -> Marker:
+    return Marker(header=header, ns=role, id=lane_id, type=kind, action=Marker.ADD, color=colour)
+
+
+def _poses(xy_m: ArrayLike, heading_rad: ArrayLike) -> NDArray[np.void]:
+    """(N,) poses in the plane z = 0."""
+    xy = np.asarray(xy_m, dtype=np.float64).reshape(-1, 2)
+    half = np.asarray(heading_rad, dtype=np.float64) / 2
+    poses = np.zeros(len(xy), dtype=_POSE)
+    poses["position"][:, :2] = xy
+    poses["orientation"][:, 2] = np.sin(half)
+    poses["orientation"][:, 3] = np.cos(half)
+    return poses
+
+
+def _header(stamp_ns: int, frame_id: str) -> bytes:
+    """`std_msgs/Header`, padded to four bytes as the number after it needs."""
+    return struct.pack("<iI", *divmod(stamp_ns, 1_000_000_000)) + _text(frame_id, 4)
+
+
+def _text(text: str, alignment: int = 1) -> bytes:
+    raw = text.encode() + b"\x00"
+    return struct.pack("<I", len(raw)) + raw + b"\x00" * (-len(raw) % alignment)
+
+
+def _aligned(part: bytes) -> bytes:
+    """Padded so that an 8-byte number may follow; `part` starts on a multiple of eight."""
+    return part + b"\x00" * (-len(part) % 8)

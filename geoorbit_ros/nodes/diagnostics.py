@@ -1,0 +1,111 @@
+"""What every node says about itself on /diagnostics, once a second."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
+PERIOD_S = 1.0
+LOG_PERIOD_S = 10.0
+"""A reason that persists is logged this often."""
+
+
+class Diagnostics:
+    """Counters of one node, published on /diagnostics at 1 Hz of wall time.
+
+    Wall time, because a stopped /clock is among the things a diagnosis must show.
+
+    Args:
+        node: Whose; the status carries its full name, the hardware id its namespace.
+        details: Further values, asked for at every report.
+
+    Attributes:
+        received: Messages taken from the input stream, refused ones included.
+        published: Messages sent to the output stream.
+        refused: Messages that could not be used.
+        missing: Frames that should lie between those that came, by the stream's usual interval.
+    """
+
+    def __init__(self, node: Node, details: Callable[[], Mapping[str, object]] = dict) -> None:
+        self.received = self.published = self.refused = self.missing = 0
+        self._node = node
+        self._details = details
+        self._latency_s: list[float] = []
+        self._last_refusal = ""
+        self._logged_s: dict[str, float] = {}
+        self._checks: list[Callable[[], str | None]] = []
+        self._seen = (0, 0, 0)
+        self._since_s = time.monotonic()
+        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        clock = Clock(clock_type=ClockType.STEADY_TIME)
+        node.create_timer(PERIOD_S, self.report, clock=clock)
+
+    def took(self, latency_s: float) -> None:
+        """Count one message that was handled in `latency_s`."""
+        self.received += 1
+        self._latency_s.append(latency_s)
+
+    def refuse(self, error: Exception) -> None:
+        """Count a message that could not be used, and log why (each kind at most every 10 s)."""
+        self.refused += 1
+        self._last_refusal = str(error)
+        place = getattr(error, "place", type(error).__name__)
+        self.warn(f"refused: {error}", f"{type(error).__name__} {place}")
+
+    def warn(self, sentence: str, kind: str = "") -> None:
+        """Log a sentence; one of the same kind at most every 10 s."""
+        now = time.monotonic()
+        kind = kind or sentence
+        if now - self._logged_s.get(kind, -math.inf) >= LOG_PERIOD_S:
+            self._logged_s[kind] = now
+            self._node.get_logger().warning(sentence)
+
+    def add_check(self, check: Callable[[], str | None]) -> None:
+        """Ask at every report for a sentence about something wrong; None when all is well."""
+        self._checks.append(check)
+
+    def report(self) -> None:
+        """Publish one status."""
+        now = time.monotonic()
+        elapsed, self._since_s = now - self._since_s, now
+        latency_ms = sorted(1e3 * value for value in self._latency_s)
+        self._latency_s = []
+        before, self._seen = self._seen, (self.received, self.refused, self.missing)
+        came, refused, missing = (a - b for a, b in zip(self._seen, before, strict=True))
+        faults = [fault for check in self._checks if (fault := check())]
+        for fault in faults:
+            self.warn(fault)
+        if refused:
+            faults.append(self._last_refusal)
+        if missing:
+            faults.append(f"{missing} frames missing")
+        values = {
+            "rate_hz": f"{came / max(elapsed, 1e-9):.1f}",
+            "latency_ms_median": _quantile(latency_ms, 0.5),
+            "latency_ms_p99": _quantile(latency_ms, 0.99),
+            "received": self.received,
+            "published": self.published,
+            "refused": self.refused,
+            "missing": self.missing,
+            "last_refusal": self._last_refusal,
+            **self._details(),
+        }
+        status = DiagnosticStatus(
+            level=DiagnosticStatus.WARN if faults else DiagnosticStatus.OK,
+            name=self._node.get_fully_qualified_name(),
+            message="; ".join(faults) or ("ok" if self.received else "nothing received yet"),
+            hardware_id=self._node.get_namespace().strip("/"),
+            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(array)
+
+
+def _quantile(ordered: list[float], share: float) -> str:
+    return f"{ordered[math.ceil(share * len(ordered)) - 1]:.3f}" if ordered else ""

@@ -1,0 +1,122 @@
+"""Node `homography`: tracked boxes in the image become vehicles on the road."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from geometry_msgs.msg import PoseArray
+from numpy.typing import NDArray
+from sensor_msgs.msg import NavSatFix, PointCloud2
+
+from geoorbit_ros.calibration.box_projector import BoxProjector
+from geoorbit_ros.calibration.control_points import read_control_points
+from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.calibration.homography import fit_homography
+from geoorbit_ros.conversions import datum_to_fix, encode_pose_array, encode_table, vehicle_poses
+from geoorbit_ros.core.errors import InputFileError, ParameterError
+from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE
+from geoorbit_ros.nodes.base import GeoOrbitNode
+from geoorbit_ros.nodes.latched import LATCHED
+from geoorbit_ros.nodes.process import run_node
+from geoorbit_ros.nodes.table_stream import TableStream, stream_qos
+
+
+@dataclass(frozen=True, slots=True)
+class HomographyParameters:
+    """See params/homography.yaml."""
+
+    calibration_file: str
+    image_width: int
+    image_height: int
+    datum_latitude_deg: float
+    datum_longitude_deg: float
+    pixel_sigma: float
+    ground_sigma_m: float
+    max_sigma_m: float
+    reject_truncated: bool
+    frame_id: str
+    reliability: str
+    queue_depth: int
+    restart_jump_s: float
+
+
+class HomographyNode(GeoOrbitNode[HomographyParameters]):
+    """Subscribes `tracks_px`; publishes `tracks`, `vehicles` and, latched, `datum`.
+
+    Every frame of `tracks_px` that can be used becomes one frame of `tracks` with its stamp, also
+    when no vehicle is left in it.
+
+    Raises:
+        GeoOrbitError: A parameter or the calibration file can't be used.
+    """
+
+    name = "homography"
+    struct = HomographyParameters
+
+    def setup(self) -> None:
+        """Fit the road plane, then start."""
+        p = self.p
+        points = read_control_points(p.calibration_file, self._datum())
+        if points.datum is None:
+            expected = "parameters datum_latitude_deg and datum_longitude_deg: where (0, 0) is"
+            raise InputFileError(p.calibration_file, "control points in metres", expected)
+        self._homography = fit_homography(points, p.pixel_sigma, p.ground_sigma_m)
+        self._projector = BoxProjector(
+            self._homography,
+            (p.image_width, p.image_height),
+            reject_truncated=p.reject_truncated,
+            max_sigma_m=p.max_sigma_m,
+        )
+        for sentence in self._homography.describe_residuals():
+            self.get_logger().info(sentence)
+        if self._projector.pose_error is not None:
+            self.get_logger().warning(str(self._projector.pose_error))
+
+        qos = stream_qos(p.reliability, p.queue_depth)
+        self.tracks = self.create_publisher(PointCloud2, "tracks", qos)
+        self._vehicles = self.create_publisher(PoseArray, "vehicles", qos)
+        self._fix = self.create_publisher(NavSatFix, "datum", LATCHED)
+        self._fix.publish(datum_to_fix(points.datum, p.frame_id))
+        TableStream(self, "tracks_px", PIXEL_TRACK_DTYPE, p, self._on_frame, self._projector.reset)
+
+    def diagnostic_values(self) -> Mapping[str, object]:
+        """Reprojection error of every control point, and what became of the boxes."""
+        residual, points = self._homography.residual, self._homography.points
+        errors = {
+            f"control_point_line_{points.line_number[k]}": f"{residual.pixel_error[k]:.2f} px, "
+            f"{residual.ground_error_m[k]:.3f} m{'' if residual.inlier[k] else ', rejected'}"
+            for k in range(len(points))
+        }
+        counts = {f"boxes_{key}": n for key, n in asdict(self._projector.counts).items()}
+        return counts | errors
+
+    def _datum(self) -> Datum | None:
+        given = (self.p.datum_latitude_deg, self.p.datum_longitude_deg)
+        if all(math.isnan(value) for value in given):
+            return None
+        if any(math.isnan(value) for value in given):
+            place = (
+                f"node '{self.get_fully_qualified_name()}', datum_latitude_deg and …longitude_deg"
+            )
+            raise ParameterError(place, "only one of them", "both or neither")
+        return Datum(*given)
+
+    def _on_frame(self, stamp_ns: int, rows: NDArray[np.void]) -> None:
+        ground = self._projector.project(stamp_ns, rows)
+        frame_id = self.p.frame_id
+        self.publish_stream(self.tracks, encode_table(stamp_ns, frame_id, ground))
+        if self._vehicles.get_subscription_count():
+            self._vehicles.publish(encode_pose_array(stamp_ns, frame_id, *vehicle_poses(ground)))
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node in this process."""
+    return run_node(HomographyNode, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,134 @@
+"""Node `lane_geometry`: vehicles on the road become a lane map that keeps itself up to date."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from sensor_msgs.msg import NavSatFix
+from std_srvs.srv import Trigger
+
+from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.conversions import datum_from_fix
+from geoorbit_ros.core.errors import MessageError
+from geoorbit_ros.core.lanes import LaneMap
+from geoorbit_ros.core.tables import TRACK_DTYPE
+from geoorbit_ros.lanes.factory import make_estimator
+from geoorbit_ros.lanes.mapper import LaneMapper
+from geoorbit_ros.lanes.parameters import LaneParameters
+from geoorbit_ros.nodes.base import GeoOrbitNode
+from geoorbit_ros.nodes.lane_publisher import LanePublisher
+from geoorbit_ros.nodes.latched import LATCHED
+from geoorbit_ros.nodes.process import run_node
+from geoorbit_ros.nodes.table_stream import TableStream
+
+
+@dataclass(frozen=True, slots=True)
+class LaneGeometryParameters:
+    """See params/lane_geometry.yaml."""
+
+    estimator: str
+    update_period_s: float
+    smoothing: float
+    angle: float
+    width_scale: float
+    publish_tentative: bool
+    frame_id: str
+    reliability: str
+    queue_depth: int
+    restart_jump_s: float
+
+    @property
+    def theta(self) -> LaneParameters:
+        """The part that the estimator takes."""
+        return LaneParameters(self.smoothing, self.angle, self.width_scale)
+
+
+class LaneGeometryNode(GeoOrbitNode[LaneGeometryParameters]):
+    """Subscribes `tracks` and `datum`; publishes the lane map on `lanes…`, all latched.
+
+    The map is renewed every `update_period_s` by the stamps of the tracks, and when the service
+    `~/update` is called.
+    """
+
+    name = "lane_geometry"
+    struct = LaneGeometryParameters
+
+    def setup(self) -> None:
+        """Start with an empty map."""
+        self._datum: Datum | None = None
+        self._latest: LaneMap | None = None
+        self.frames = 0
+        self._restart()
+        self._lanes = LanePublisher(
+            self, self.p.frame_id, self.p.estimator, tentative=self.p.publish_tentative
+        )
+        TableStream(self, "tracks", TRACK_DTYPE, self.p, self._on_frame, self._restart)
+        self.create_subscription(NavSatFix, "datum", self._on_datum, LATCHED)
+        self.create_service(Trigger, "~/update", self._on_update)
+
+    def on_parameters(self, changed: LaneGeometryParameters) -> None:
+        """New detection parameters hold from the next update on."""
+        self._mapper.parameters = changed.theta
+
+    def diagnostic_values(self) -> Mapping[str, object]:
+        """Size and age of the map."""
+        lanes = self._latest.lanes if self._latest else ()
+        confirmed = sum(lane.status == "confirmed" for lane in lanes)
+        return {
+            "frames": self.frames,
+            "lanes_confirmed": confirmed,
+            "lanes_tentative": len(lanes) - confirmed,
+            "map_stamp_s": self._latest.stamp_ns / 1e9 if self._latest else "",
+            "datum": "known" if self._datum else "not received yet",
+        }
+
+    def _restart(self) -> None:
+        estimator = make_estimator(self.p.estimator)
+        self._mapper = LaneMapper(estimator, self.p.theta, self.p.update_period_s)
+
+    def _on_frame(self, stamp_ns: int, rows: NDArray[np.void]) -> None:
+        self.frames += 1
+        lane_map = self._mapper.add(stamp_ns, rows)
+        if lane_map is not None:
+            self._publish(lane_map)
+
+    def _on_datum(self, fix: NavSatFix) -> None:
+        try:
+            datum = datum_from_fix(fix, self.resolve_topic_name("datum"))
+        except MessageError as error:
+            self.diagnostics.refuse(error)
+            return
+        if datum != self._datum:
+            self._datum = datum
+            if self._latest is not None:
+                self._publish(self._latest)
+
+    def _publish(self, lane_map: LaneMap) -> None:
+        self._latest = lane_map
+        self._lanes.publish(lane_map, self._datum)
+        self.diagnostics.published += 1
+        if self._datum is None:
+            topic = self.resolve_topic_name("datum")
+            self.diagnostics.warn(f"{topic}: nothing received, so lanes/geojson is not published")
+
+    def _on_update(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success = self.frames > 0
+        response.message = "no frames received yet"
+        if self.frames:
+            lane_map = self._mapper.finish()
+            self._publish(lane_map)
+            response.message = f"{len(lane_map.lanes)} lanes from {self.frames} frames"
+        return response
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node in this process."""
+    return run_node(LaneGeometryNode, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

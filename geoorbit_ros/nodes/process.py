@@ -1,0 +1,58 @@
+"""Starts nodes, spins them, ends them: what every executable does around its node."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
+
+from geoorbit_ros.core.errors import GeoOrbitError
+from geoorbit_ros.nodes.base import GeoOrbitNode
+
+SPIN_TIMEOUT_S = 0.2
+"""How long a signal may go unnoticed at most."""
+
+
+def make_executor(context: Context | None = None) -> Executor:
+    """The events executor, which costs a quarter of the usual one per message; else that.
+
+    Call `spin_once` with a time-out: without one, that of rclpy 7.1.6 does not return. It also
+    can't call subscription callbacks that take a MessageInfo.
+    """
+    try:
+        from rclpy.experimental import EventsExecutor
+    except ImportError:  # ROS installations from before it was added
+        return SingleThreadedExecutor(context=context)
+    return EventsExecutor(context=context)
+
+
+def run_node(make: Callable[[], GeoOrbitNode[Any]], args: Sequence[str] | None = None) -> int:
+    """Start one node and spin it until it is done or the process is told to end.
+
+    Returns:
+        Exit status: 0 when done or after SIGINT or SIGTERM, 2 with one sentence on standard error
+        when something the user gave can't be used.
+    """
+    node = None
+    try:
+        rclpy.init(args=None if args is None else list(args))
+        node = make()
+        executor = make_executor()
+        executor.add_node(node)
+        while rclpy.ok() and not node.done:
+            executor.spin_once(timeout_sec=SPIN_TIMEOUT_S)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except GeoOrbitError as error:
+        print(error, file=sys.stderr)
+        return 2
+    finally:
+        if node is not None:
+            node.close()
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return 0

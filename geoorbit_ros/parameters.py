@@ -1,0 +1,189 @@
+"""Node parameters: declared from `params/<node>.yaml`, handed out as one frozen typed struct.
+
+The schema files are in the format of PickNik's generate_parameter_library (type, default_value,
+description, read_only, validation), so that its documentation generator reads them too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from typing import Any, Generic, TypeVar
+
+import yaml
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from geoorbit_ros.core.errors import ParameterError
+from geoorbit_ros.core.resources import share_path
+
+_TYPES: dict[str, type] = {"bool": bool, "int": int, "double": float, "string": str}
+_WORDS = {"bool": "true or false", "int": "a whole number", "double": "a number", "string": "text"}
+
+Struct = TypeVar("Struct")
+Value = bool | int | float | str
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterSpec:
+    """One parameter of a schema.
+
+    Attributes:
+        name: As in the node and in the struct.
+        kind: `bool`, `int`, `double` or `string`.
+        default: Value unless overridden. A NaN default means "not given" and stays acceptable.
+        description: One sentence for `ros2 param describe`.
+        read_only: Fixed once the node runs.
+        bounds: Least and greatest value, both included.
+        above: The value must be greater than this.
+        choices: The only values accepted.
+        not_empty: Whether an empty string is refused.
+    """
+
+    name: str
+    kind: str
+    default: Value
+    description: str
+    read_only: bool = False
+    bounds: tuple[float, float] | None = None
+    above: float | None = None
+    choices: tuple[Value, ...] = ()
+    not_empty: bool = False
+
+    @property
+    def expected(self) -> str:
+        """What a value must be, as words."""
+        if self.choices:
+            return " or ".join(str(choice) for choice in self.choices)
+        words = _WORDS[self.kind]
+        if self.bounds:
+            words += f" from {self.bounds[0]:g} to {self.bounds[1]:g}"
+        if self.above is not None:
+            words += f" above {self.above:g}"
+        return f"{words}, not empty" if self.not_empty else words
+
+    def checked(self, value: object, place: str) -> Value:
+        """The value in the parameter's type; a whole number is taken for a `double`.
+
+        Raises:
+            ParameterError: Wrong type, or outside what the schema allows.
+        """
+        wanted = _TYPES[self.kind]
+        if wanted is float and type(value) is int:
+            value = float(value)
+        if type(value) is wanted and self._allows(value):
+            return value  # type: ignore[return-value]  # its type is one of _TYPES
+        found = repr(value) if isinstance(value, str) else str(value)
+        raise ParameterError(f"{place}, parameter '{self.name}'", found, self.expected)
+
+    def _allows(self, value: Any) -> bool:
+        if isinstance(value, float) and math.isnan(value):
+            return isinstance(self.default, float) and math.isnan(self.default)
+        return (
+            (self.bounds is None or self.bounds[0] <= value <= self.bounds[1])
+            and (self.above is None or value > self.above)
+            and (not self.choices or value in self.choices)
+            and not (self.not_empty and value == "")
+        )
+
+
+@lru_cache
+def load_schema(name: str) -> tuple[ParameterSpec, ...]:
+    """The schema `params/<name>.yaml`, in the order of the file.
+
+    Raises:
+        ParameterError: A key or type that is not part of the format.
+    """
+    file = share_path(f"params/{name}.yaml")
+    content = yaml.safe_load(file.read_text(encoding="utf-8"))
+    return tuple(_spec(key, entry, str(file)) for key, entry in content[name].items())
+
+
+def _spec(name: str, entry: dict[str, Any], place: str) -> ParameterSpec:
+    """One entry of a schema file; validators carry the format's trailing `<>`."""
+    rest = dict(entry)
+    rules = {key.removesuffix("<>"): value for key, value in rest.pop("validation", {}).items()}
+    where = f"{place}, parameter '{name}'"
+    if rest.get("type") not in _TYPES:
+        raise ParameterError(where, f"type {rest.get('type')}", " or ".join(_TYPES))
+    unknown = (set(rest) - {"type", "default_value", "description", "read_only"}) | (
+        set(rules) - {"bounds", "gt", "one_of", "not_empty"}
+    )
+    if unknown or "default_value" not in rest or not rest.get("description"):
+        found = f"keys {', '.join(sorted({*rest, *rules}))}"
+        raise ParameterError(where, found, "type, default_value, description, read_only, rules")
+    return ParameterSpec(
+        name=name,
+        kind=rest["type"],
+        default=_TYPES[rest["type"]](rest["default_value"]),
+        description=str(rest["description"]).strip(),
+        read_only=bool(rest.get("read_only", False)),
+        bounds=tuple(rules["bounds"]) if "bounds" in rules else None,
+        above=rules["gt"][0] if "gt" in rules else None,
+        choices=tuple(rules["one_of"][0]) if "one_of" in rules else (),
+        not_empty="not_empty" in rules,
+    )
+
+
+class NodeParameters(Generic[Struct]):
+    """A node's parameters, checked when the node starts and again whenever one is set.
+
+    Args:
+        node: Declares the parameters; overrides from its constructor or the command line apply.
+        struct: Frozen dataclass with exactly the parameters of the schema.
+        schema: Name of the schema file.
+        on_change: Called with the new struct after a parameter was set; may raise ParameterError
+            to refuse it.
+
+    Attributes:
+        value: The parameters as they stand.
+
+    Raises:
+        ParameterError: Naming node, parameter, value and expectation.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        struct: type[Struct],
+        schema: str,
+        on_change: Callable[[Struct], None] | None = None,
+    ) -> None:
+        self._place = f"node '{node.get_fully_qualified_name()}'"
+        self._specs = {spec.name: spec for spec in load_schema(schema)}
+        self._struct, self._on_change = struct, on_change
+        names = {f.name for f in fields(struct)}  # type: ignore[arg-type]  # a dataclass
+        if names != set(self._specs):
+            odd = ", ".join(sorted(names ^ set(self._specs)))
+            raise ParameterError(f"params/{schema}.yaml", odd, f"the fields of {struct.__name__}")
+        values = {spec.name: self._declare(node, spec) for spec in self._specs.values()}
+        self.value: Struct = struct(**values)
+        node.add_on_set_parameters_callback(self._on_set)
+
+    def _declare(self, node: Node, spec: ParameterSpec) -> Value:
+        # Dynamic typing: rclpy's own check would refuse `rate:=10` for a double, with a message
+        # that doesn't say what is expected. `checked` does both.
+        descriptor = ParameterDescriptor(
+            description=spec.description,
+            additional_constraints=spec.expected,
+            read_only=spec.read_only,
+            dynamic_typing=True,
+        )
+        found = node.declare_parameter(spec.name, spec.default, descriptor).value
+        return spec.checked(found, self._place)
+
+    def _on_set(self, changes: Sequence[Parameter]) -> SetParametersResult:
+        known = [change for change in changes if change.name in self._specs]
+        try:
+            new = {c.name: self._specs[c.name].checked(c.value, self._place) for c in known}
+            current = {name: getattr(self.value, name) for name in self._specs}
+            struct = self._struct(**(current | new))
+            if new and self._on_change:
+                self._on_change(struct)
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        self.value = struct
+        return SetParametersResult(successful=True)
