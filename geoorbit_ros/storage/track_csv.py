@@ -37,6 +37,7 @@ _EXACT_TIME_S = 2e6
 """Above this a float64 of seconds can be half a nanosecond off (2^51 ns)."""
 _MAX_TIME_S = 2**31
 """builtin_interfaces/Time holds seconds in 32 bits."""
+_TIME_RANGE = "seconds in [0, 2^31)"
 
 
 def read_track_csv(path: str | Path, image_size: tuple[int, int] | None = None) -> Frames:
@@ -55,7 +56,8 @@ def read_track_csv(path: str | Path, image_size: tuple[int, int] | None = None) 
     """
     columns = read_columns(path, _TYPES, "a CSV file of tracks")
     v = columns.values
-    _check(columns, "time", (v["time"] >= 0) & (v["time"] < _MAX_TIME_S), "seconds in [0, 2^31)")
+    # A float64 just below 2^31 may round up to it: the bound is checked again on exact stamps.
+    _check(columns, "time", (v["time"] >= 0) & (v["time"] <= _MAX_TIME_S), _TIME_RANGE)
     _check(columns, "frame_num", _whole(v["frame_num"], 0, 2**53), "a whole number from 0")
     for name in ("id", "class"):
         _check(columns, name, _whole(v[name], -(2**31), 2**31 - 1), "a whole number of 32 bits")
@@ -70,6 +72,7 @@ def read_track_csv(path: str | Path, image_size: tuple[int, int] | None = None) 
             at = f"a box that reaches into the image of {image_size[0]}x{image_size[1]} pixels"
             _check(columns, name, inside, at)
     stamp_ns = _stamps(columns)
+    _check(columns, "time", stamp_ns < _MAX_TIME_S * 10**9, _TIME_RANGE)
     start = _frame_starts(columns, stamp_ns)
     rows = np.empty(len(stamp_ns), PIXEL_TRACK_DTYPE)
     for field, name in (("x", "x"), ("y", "y"), ("width", "w"), ("height", "h"), ("score", "conf")):

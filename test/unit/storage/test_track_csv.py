@@ -109,6 +109,7 @@ FAULTS = [
     ([GOOD, "2,0.5,5.5,2,.5,1,2,3,4"], "line 3, column 'frame_num'", "'5.5'"),
     ([GOOD, "2,-0.5,5,2,.5,1,2,3,4"], "line 3, column 'time'", "'-0.5'"),
     ([GOOD, "2,1700000000000,6,2,.5,1,2,3,4"], "line 3, column 'time'", "'1700000000000'"),
+    ([GOOD, "2,2147483648,6,2,.5,1,2,3,4"], "line 3, column 'time'", "'2147483648'"),
     ([GOOD, GOOD], "line 3, column 'id'", "id 1 twice in one frame"),
     ([GOOD, "2,0.4,4,2,.5,1,2,3,4"], "line 3, column 'time'", "frame 4 at 0.400000000 s after"),
     ([GOOD, "2,0.4,6,2,.5,1,2,3,4"], "line 3, column 'time'", "frame 6 at 0.400000000 s after"),

@@ -1,0 +1,95 @@
+"""When each message of a recording is due, at any speed. Knows no clock: it is told the time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from geoorbit_ros.storage.bag_reader import BagMessage
+
+
+class Playback:
+    """Hands out the messages of a recording as their time comes.
+
+    Args:
+        messages: In the order of their recording time.
+        rate: Speed relative to the recording; 0 makes every message due at once.
+        max_gap_s: Longer silences are cut to this, in seconds of the recording.
+        start_offset_s: Leave out messages from before this time after the first.
+
+    Attributes:
+        played: Messages handed out so far.
+        finished: Whether there are no more.
+    """
+
+    def __init__(
+        self,
+        messages: Iterable[BagMessage],
+        rate: float = 1.0,
+        max_gap_s: float = float("inf"),
+        start_offset_s: float = 0.0,
+    ) -> None:
+        self.played = 0
+        self._rate = rate
+        self._max_gap_ns = max_gap_s * 1e9
+        self._messages = _from_offset(messages, start_offset_s)
+        self._position_ns = 0.0  # played time of the recording, gaps cut
+        self._last_ns = 0  # recording time of the last message handed out
+        self._wall_s: float | None = None
+        self._next = next(self._messages, None)
+        self._next_position_ns = 0.0
+
+    @property
+    def finished(self) -> bool:
+        """Whether all messages have been handed out."""
+        return self._next is None
+
+    @property
+    def time_ns(self) -> int:
+        """The recording's time now; never past the next message, never before the last."""
+        if self._next is None:
+            return self._last_ns
+        ahead = max(self._next_position_ns - self._position_ns, 0.0)
+        return max(round(self._next.time_ns - ahead), self._last_ns)
+
+    def hold(self) -> None:
+        """Let no time pass until the next call of `due`."""
+        self._wall_s = None
+
+    def due(self, wall_s: float, limit: int) -> Iterator[BagMessage]:
+        """The messages that are due at `wall_s`, at most `limit`.
+
+        Where the limit holds messages back, the recording's time waits with them: playback slows
+        down instead of catching up in a burst.
+
+        Args:
+            wall_s: Any steady clock.
+            limit: Most messages to hand out now.
+        """
+        elapsed_s = 0.0 if self._wall_s is None else wall_s - self._wall_s
+        self._wall_s = wall_s
+        self._position_ns += elapsed_s * 1e9 * self._rate
+        while self._next is not None and limit > 0:
+            if self._rate == 0.0:
+                self._position_ns = self._next_position_ns
+            if self._next_position_ns > self._position_ns:
+                return
+            limit -= 1
+            yield self._take(self._next)
+        self._position_ns = min(self._position_ns, self._next_position_ns)
+
+    def _take(self, message: BagMessage) -> BagMessage:
+        self.played += 1
+        self._last_ns = message.time_ns
+        self._next = next(self._messages, None)
+        if self._next is not None:
+            gap_ns = max(self._next.time_ns - message.time_ns, 0)
+            self._next_position_ns += min(gap_ns, self._max_gap_ns)
+        return message
+
+
+def _from_offset(messages: Iterable[BagMessage], start_offset_s: float) -> Iterator[BagMessage]:
+    first_ns: int | None = None
+    for message in messages:
+        first_ns = message.time_ns if first_ns is None else first_ns
+        if message.time_ns - first_ns >= start_offset_s * 1e9:
+            yield message
