@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable
+from importlib import import_module
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -36,6 +37,7 @@ __all__ = [
     "encode_table",
     "lane_markers",
     "lane_poses",
+    "message_class",
     "path_headings",
     "time_from_ns",
     "vehicle_poses",
@@ -44,6 +46,16 @@ __all__ = [
 _CDR_HEAD = b"\x00\x01\x00\x00"
 _POSE = np.dtype([("position", "<f8", 3), ("orientation", "<f8", 4)])
 """geometry_msgs/Pose: x y z, then the quaternion x y z w."""
+
+
+def message_class(message_type: str) -> type | None:
+    """The class of `package/msg/Name`; None when that package is not installed."""
+    package, _, name = message_type.split("/")
+    try:
+        found: type | None = getattr(import_module(f"{package}.msg"), name, None)
+    except ModuleNotFoundError:
+        return None
+    return found
 
 
 def time_from_ns(stamp_ns: int) -> Time:

@@ -87,6 +87,12 @@ class Playback:
         return message
 
 
+def rename_camera(topic: str, camera_id: str) -> str:
+    """A recorded topic with its first name replaced, if there is more than one and a new one."""
+    first, _, rest = topic.strip("/").partition("/")
+    return f"/{camera_id or first}/{rest}" if rest else f"/{first}"
+
+
 def _from_offset(messages: Iterable[BagMessage], start_offset_s: float) -> Iterator[BagMessage]:
     first_ns: int | None = None
     for message in messages:

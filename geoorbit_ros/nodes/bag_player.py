@@ -1,0 +1,151 @@
+"""Node `bag_player`: a recording becomes live topics again."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock as ClockMessage
+from std_msgs.msg import UInt64
+from std_srvs.srv import SetBool
+
+from geoorbit_ros.conversions import encode_clock, message_class
+from geoorbit_ros.core.errors import InputFileError
+from geoorbit_ros.nodes.base import GeoOrbitNode
+from geoorbit_ros.nodes.latched import LATCHED
+from geoorbit_ros.nodes.process import run_node
+from geoorbit_ros.nodes.table_stream import stream_qos
+from geoorbit_ros.storage.bag_reader import bag_messages, describe_bag
+from geoorbit_ros.storage.playback import Playback, rename_camera
+
+TICK_S = 0.005
+BATCH = 50
+"""Most messages per tick, so that the other nodes of a process get their turn."""
+CLOCK_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+ACKNOWLEDGE_TIMEOUT = Duration(seconds=10)
+
+
+@dataclass(frozen=True, slots=True)
+class BagPlayerParameters:
+    """See params/bag_player.yaml."""
+
+    bag: str
+    rate: float
+    loop: bool
+    start_offset_s: float
+    max_gap_s: float
+    camera_id: str
+    publish_clock: bool
+    reliability: str
+    queue_depth: int
+    wait_for_subscribers: int
+    wait_timeout_s: float
+    start_paused: bool
+    exit_when_done: bool
+
+
+class BagPlayerNode(GeoOrbitNode[BagPlayerParameters]):
+    """Publishes the messages of a bag, as recorded, and `/clock`.
+
+    At the end the number of messages played is published, latched, on `~/finished`. The service
+    `~/pause` holds (true) and resumes (false).
+
+    Attributes:
+        may_send: Set by whoever composes the player with its readers in one process: how many
+            messages they can take now.
+    """
+
+    name = "bag_player"
+    struct = BagPlayerParameters
+
+    def setup(self) -> None:
+        """Open the bag, make its topics, and wait for their subscribers."""
+        p = self.p
+        self.may_send: Callable[[], int] = lambda: BATCH
+        self.paused = p.start_paused
+        self.topics: dict[str, Publisher] = {}
+        qos = stream_qos(p.reliability, p.queue_depth)
+        for topic in describe_bag(p.bag).topics:
+            message_type = message_class(topic.message_type)
+            if message_type is None:
+                kind = f"{topic.name}: type {topic.message_type} is not installed, not played"
+                self.get_logger().warning(kind)
+                continue
+            name = rename_camera(topic.name, p.camera_id)
+            self.topics[topic.name] = self.create_publisher(message_type, name, qos)
+        self._clock_topic = self.create_publisher(ClockMessage, "/clock", CLOCK_QOS)
+        self._finished = self.create_publisher(UInt64, "~/finished", LATCHED)
+        self.create_service(SetBool, "~/pause", self._on_pause)
+        self._waiting, self._deadline_s = True, time.monotonic() + p.wait_timeout_s
+        self._begin()
+        if self._playback.finished:
+            raise InputFileError(p.bag, "no message to play", "a bag with messages")
+        self.create_timer(TICK_S, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def diagnostic_values(self) -> Mapping[str, object]:
+        """Where in the recording it is."""
+        return {"bag_time_s": self._playback.time_ns / 1e9, "paused": self.paused}
+
+    @property
+    def time_ns(self) -> int:
+        """The recording's time."""
+        return self._playback.time_ns
+
+    def _begin(self) -> None:
+        p = self.p
+        messages = bag_messages(p.bag, tuple(self.topics))
+        self._playback = Playback(messages, p.rate, p.max_gap_s, p.start_offset_s)
+
+    def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        self.paused = request.data
+        self._playback.hold()
+        response.success, response.message = True, "paused" if self.paused else "playing"
+        return response
+
+    def _tick(self) -> None:
+        if self.done or self.paused:
+            return
+        if self._waiting:
+            wanted, topics = self.p.wait_for_subscribers, self.topics.values()
+            lonely = [t.topic for t in topics if t.get_subscription_count() < wanted]
+            if lonely and time.monotonic() < self._deadline_s:
+                return
+            if lonely:
+                self.get_logger().warning(f"playing without subscribers on {', '.join(lonely)}")
+            self._waiting = False
+        for message in self._playback.due(time.monotonic(), min(BATCH, self.may_send())):
+            self.publish_stream(self.topics[message.topic], message.cdr)
+        if self.p.publish_clock:
+            self._clock_topic.publish(encode_clock(self._playback.time_ns))
+        if self._playback.finished:
+            self._end()
+
+    def _end(self) -> None:
+        self._finished.publish(UInt64(data=self.diagnostics.published))
+        if self.p.loop:
+            self._begin()
+            return
+        self.get_logger().info(f"{self.p.bag}: played {self.diagnostics.published} messages")
+        self.done = self.p.exit_when_done
+
+    def close(self) -> None:
+        """Give reliable subscribers time to take the last messages."""
+        if self.done and not all(
+            publisher.wait_for_all_acked(ACKNOWLEDGE_TIMEOUT) for publisher in self.topics.values()
+        ):
+            self.get_logger().warning("the last messages were not acknowledged within 10 s")
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node in this process."""
+    return run_node(BagPlayerNode, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

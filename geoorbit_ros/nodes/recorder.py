@@ -1,0 +1,102 @@
+"""Node `recorder`: tracks and lane maps go into the trajectory database."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.clock import Clock, ClockType
+from std_msgs.msg import String
+
+from geoorbit_ros.conversions import decode_string
+from geoorbit_ros.core.errors import GeoOrbitError, MessageError, ParameterError
+from geoorbit_ros.core.tables import TRACK_DTYPE
+from geoorbit_ros.nodes.base import GeoOrbitNode
+from geoorbit_ros.nodes.latched import LATCHED
+from geoorbit_ros.nodes.process import run_node
+from geoorbit_ros.nodes.table_stream import TableStream
+from geoorbit_ros.storage.database import TrajectoryDatabase
+
+FLUSH_PERIOD_S = 0.5
+"""A kill costs less than a second, also when the camera has fallen silent."""
+DAY_NS = 86_400_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class RecorderParameters:
+    """See params/recorder.yaml."""
+
+    database: str
+    camera_id: str
+    retention_days: float
+    reliability: str
+    queue_depth: int
+    restart_jump_s: float
+
+
+class RecorderNode(GeoOrbitNode[RecorderParameters]):
+    """Subscribes `tracks` and `lanes/geojson` of its namespace; appends both to the database.
+
+    Frames that are already in the database, as when a bag is played again, are refused.
+    """
+
+    name = "recorder"
+    struct = RecorderParameters
+
+    def setup(self) -> None:
+        """Open the database, then subscribe."""
+        self._camera = self.p.camera_id or self.camera_id
+        if not self._camera:
+            place = f"node '{self.get_fully_qualified_name()}', parameter 'camera_id'"
+            raise ParameterError(place, "nothing, in the root namespace", "the camera's name")
+        self._newest_ns = 0
+        self._database = TrajectoryDatabase(self.p.database)
+        TableStream(self, "tracks", TRACK_DTYPE, self.p, self._on_frame, lambda: None)
+        self._geojson_topic = self.resolve_topic_name("lanes/geojson")
+        self.create_subscription(String, "lanes/geojson", self._on_lanes, LATCHED, raw=True)
+        self.create_timer(
+            FLUSH_PERIOD_S, self._maintain, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
+
+    def close(self) -> None:
+        """Commit what is left."""
+        self._database.close()
+
+    def _on_frame(self, stamp_ns: int, rows: NDArray[np.void]) -> None:
+        self._database.append(self._camera, stamp_ns, rows)
+        self._newest_ns = stamp_ns
+
+    def _on_lanes(self, cdr: bytes) -> None:
+        try:
+            text = decode_string(cdr, self._geojson_topic)
+            self._database.append_lanes(self._camera, self._map_stamp_ns(text), text)
+        except GeoOrbitError as error:
+            self.diagnostics.refuse(error)
+
+    def _map_stamp_ns(self, text: str) -> int:
+        try:
+            return int(json.loads(text)["geoorbit"]["stamp_ns"])
+        except (ValueError, KeyError, TypeError):
+            found = f"{len(text)} characters without geoorbit.stamp_ns"
+            raise MessageError(self._geojson_topic, found, "the lane map as GeoJSON") from None
+
+    def _maintain(self) -> None:
+        try:
+            self._database.flush()
+            if self.p.retention_days > 0.0 and self._newest_ns:
+                self._database.prune(self._newest_ns - round(self.p.retention_days * DAY_NS))
+        except GeoOrbitError as error:  # a full disk may have room again later
+            self.diagnostics.refuse(error)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node in this process."""
+    return run_node(RecorderNode, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
