@@ -119,6 +119,13 @@ def test_memory_does_not_grow_with_the_database(tmp_path: Path) -> None:
                     database.append("a", stamp_ns, shifted.frame(j))
         stored = parts
         command = [sys.executable, "-c", PEAK, str(path), str(tmp_path / "out.parquet")]
-        done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=60)
+        done = subprocess.run(
+            command,
+            check=True,
+            capture_output=True,
+            text=True,
+            timeout=60,
+            cwd=Path(__file__).parents[3],
+        )
         peak_kb.append(int(done.stdout))
     assert peak_kb[1] - peak_kb[0] < 40_000

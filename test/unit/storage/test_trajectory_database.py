@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import sqlite3
 import subprocess
 import sys
@@ -98,7 +99,8 @@ def test_a_killed_writer_loses_less_than_its_last_second(
     script = Path(__file__).with_name("append_until_killed.py")
     command = [sys.executable, str(script), str(path), str(step_ns)]
     appended: list[tuple[int, int]] = []
-    with subprocess.Popen(command, stdout=subprocess.PIPE) as writer:
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[3])}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment) as writer:
         assert writer.stdout is not None
         try:
             for line in writer.stdout:
