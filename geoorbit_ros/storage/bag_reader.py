@@ -126,12 +126,12 @@ def describe(reader: Reader) -> BagInfo:
     )
 
 
-def bag_messages(path: str | Path, topics: Collection[str] = ()) -> Iterator[BagMessage]:
+def bag_messages(path: str | Path, topics: Collection[str] | None = None) -> Iterator[BagMessage]:
     """All messages of a bag in the order of their recording time, one at a time.
 
     Args:
         path: The bag's folder, or its only .mcap or .db3 file.
-        topics: Only these; default: all.
+        topics: Only these, none if empty; default: all.
 
     Raises:
         InputFileError: As `open_bag`, or fewer messages than the metadata announces.
@@ -140,9 +140,9 @@ def bag_messages(path: str | Path, topics: Collection[str] = ()) -> Iterator[Bag
         yield from messages(reader, topics)
 
 
-def messages(reader: Reader, topics: Collection[str] = ()) -> Iterator[BagMessage]:
+def messages(reader: Reader, topics: Collection[str] | None = None) -> Iterator[BagMessage]:
     """As `bag_messages`, from an open bag."""
-    wanted = [c for c in reader.connections if not topics or c.topic in topics]
+    wanted = [c for c in reader.connections if topics is None or c.topic in topics]
     if not wanted:  # to rosbags an empty choice means every topic
         return
     count = 0

@@ -111,6 +111,7 @@ def test_one_of_several_cameras(tmp_path: Path) -> None:
         read_track_bag(path, "c")
     assert len(list(bag_messages(path))) == len(mixed)
     assert len(list(bag_messages(path, ["/b/tracks_px"]))) == len(other)
+    assert list(bag_messages(path, [])) == []
 
 
 @pytest.mark.parametrize("storage", STORAGES)
