@@ -2,18 +2,41 @@
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import sysconfig
+import time
+from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+
+from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE, Frames, frames_from_rows
+from geoorbit_ros.storage.bag import write_track_bag
+
+pytestmark = pytest.mark.slow
 
 REPOSITORY = Path(__file__).parents[2]
 SOURCES = ("geoorbit_ros", "resource", "scripts", "launch", "params", "msg_defs", "bags")
 NODES = sorted(path.name for path in (REPOSITORY / "scripts").iterdir())
 PYTHON = f"python{sys.version_info.major}.{sys.version_info.minor}"
 LIMIT_S = 120
+DOMAIN_ID = 60 + os.getpid() % 40  # away from those of the other tests
+
+CONTROL_POINTS = """\
+pixel_x,pixel_y,latitude,longitude
+200,900,43.00000,-89.00000
+1700,900,43.00000,-88.99980
+600,400,43.00100,-89.00000
+1300,400,43.00100,-88.99980
+950,600,43.00040,-88.99990
+"""
 
 
 def clean_environment() -> dict[str, str]:
@@ -128,3 +151,99 @@ def test_shared_files_are_complete(
     } | {Path("package.xml")}
     missing = {path for path in expected if not (shared / path).is_file()}
     assert not missing
+
+
+@pytest.fixture(scope="module")
+def node_parameters(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, str]]:
+    """What each node needs to come up and wait for work."""
+    folder = tmp_path_factory.mktemp("input")
+    (folder / "calibration.csv").write_text(CONTROL_POINTS)
+    write_track_bag(folder / "bag", "pole", two_frames())
+    return {
+        "bag_player": {"bag": f"{folder}/bag", "start_paused": "true", "wait_timeout_s": "0.0"},
+        "homography": {"calibration_file": f"{folder}/calibration.csv"},
+        "recorder": {"database": f"{folder}/tracks.db", "camera_id": "pole"},
+    }
+
+
+def two_frames() -> Frames:
+    rows = np.zeros(2, PIXEL_TRACK_DTYPE)
+    return frames_from_rows(np.array([10**9, 2 * 10**9]), rows)
+
+
+@pytest.fixture
+def observer() -> Iterator[Node]:
+    """A node of this process that sees who else is in the graph."""
+    context = Context()
+    rclpy.init(context=context, domain_id=DOMAIN_ID)
+    node = Node("observer", context=context)
+    yield node
+    node.destroy_node()
+    rclpy.shutdown(context=context)
+
+
+def as_pip_user(prefix: Path, folder: Path) -> tuple[list[str], dict[str, str]]:
+    """An environment that is not activated: `python3` is another one, without dependencies."""
+    other = folder / "bin"
+    other.mkdir()
+    (other / "python3").symlink_to(Path(sys.base_prefix) / "bin" / PYTHON)
+    # The ROS wheels look for libraries in their own prefix; the borrowed ones are in another.
+    libraries = f"{sys.prefix}/lib:{os.environ.get('LD_LIBRARY_PATH', '')}"
+    return [], {"PATH": f"{other}:/usr/bin:/bin", "LD_LIBRARY_PATH": libraries}
+
+
+def as_colcon_user(prefix: Path, folder: Path) -> tuple[list[str], dict[str, str]]:
+    """A shell in which the workspace was sourced; `python3` is the one that has ROS."""
+    source = 'source "$0" && exec "$@"'
+    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    return ["bash", "-c", source, str(prefix.parent / "setup.bash")], {"PATH": path}
+
+
+@PREFIXES
+def test_every_executable_starts_its_node_and_ends_on_sigint(
+    prefix_fixture: str,
+    request: pytest.FixtureRequest,
+    node_parameters: dict[str, dict[str, str]],
+    observer: Node,
+    tmp_path: Path,
+) -> None:
+    prefix: Path = request.getfixturevalue(prefix_fixture)
+    user = as_pip_user if prefix_fixture == "pip_prefix" else as_colcon_user
+    start, variables = user(prefix, tmp_path)
+    environment = clean_environment() | variables | {"ROS_DOMAIN_ID": str(DOMAIN_ID)}
+    processes = {}
+    for name in NODES:
+        words = [f"{key}:={value}" for key, value in node_parameters.get(name, {}).items()]
+        options = [word for pair in words for word in ("-p", pair)]
+        processes[name] = subprocess.Popen(
+            [*start, str(prefix / "lib" / "geoorbit_ros" / name), "--ros-args", *options],
+            cwd=tmp_path,
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+    try:
+        wait_until_up(observer, processes)
+        for process in processes.values():
+            process.send_signal(signal.SIGINT)
+        output = {name: process.communicate(timeout=30)[0] for name, process in processes.items()}
+    finally:
+        for process in processes.values():
+            process.kill()
+    statuses = {name: process.returncode for name, process in processes.items()}
+    assert statuses == dict.fromkeys(NODES, 0), output
+    assert not [name for name in NODES if "Traceback" in output[name]], output
+
+
+def wait_until_up(observer: Node, processes: dict[str, "subprocess.Popen[str]"]) -> None:
+    """Spin until the graph shows a node for every process; fails when one ended or none came."""
+    executor = SingleThreadedExecutor(context=observer.context)
+    executor.add_node(observer)
+    deadline = time.monotonic() + 60
+    while missing := set(processes) - set(observer.get_node_names()):
+        for name, process in processes.items():
+            assert process.poll() is None, f"{name} ended: {process.communicate()[0]}"
+        assert time.monotonic() < deadline, f"not in the graph after 60 s: {missing}"
+        executor.spin_once(timeout_sec=0.1)
+    executor.shutdown()
