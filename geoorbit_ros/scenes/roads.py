@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import InputFileError
-from geoorbit_ros.scenes.scene import Bend, LaneRef, Road, Scene
+from geoorbit_ros.scenes.road_plan import Bend, LaneRef, Road
+from geoorbit_ros.scenes.scene import Scene
 
 STEP_M = 2.0
 """Spacing of border points; at 12 m radius the chord is 4 cm off the arc."""

@@ -3,131 +3,48 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from geoorbit_ros.core.errors import InputFileError
 from geoorbit_ros.core.resources import share_path
+from geoorbit_ros.scenes.road_plan import Positive, Road, RoadPoint, StrictModel
+from geoorbit_ros.scenes.scene_errors import WrongValue, broken_yaml, wrong_scene
+from geoorbit_ros.scenes.scene_rules import check_scene
 from geoorbit_ros.scenes.vehicles import VEHICLE_TYPES
 
-Positive = Annotated[float, Field(gt=0.0)]
+_FOLDER = "params/scenes"
+
+Pixels = Annotated[int, Field(ge=160, le=8192)]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Place(_Strict):
+class Place(StrictModel):
     """The scene's origin on earth."""
 
     latitude_deg: float = Field(ge=-85.0, le=85.0)
     longitude_deg: float = Field(ge=-180.0, le=180.0)
 
 
-class Straight(_Strict):
-    """A straight piece of road."""
-
-    straight_m: Positive
-
-
-class Bend(_Strict):
-    """An arc; positive `turn_deg` bends to the left."""
-
-    radius_m: Positive
-    turn_deg: float = Field(ge=-270.0, le=270.0)
-
-
-class Start(_Strict):
-    """Where a road's left border begins, and its heading clockwise from north."""
-
-    x_m: float
-    y_m: float
-    heading_deg: float
-
-
-class LaneRef(_Strict):
-    """One lane of a road; lane 0 is the rightmost."""
-
-    road: str
-    lane: int = Field(ge=0)
-
-
-class Opposite(_Strict):
-    """Beside another road, in the other direction, `median_m` between the left borders."""
-
-    road: str
-    median_m: float = Field(ge=0.0)
-
-
-class Road(_Strict):
-    """A one-way road.
-
-    Exactly one of `start`, `follows`, `leaves`, `joins` and `opposite` says where it lies.
-
-    Attributes:
-        id: Its name.
-        lanes: Number of lanes.
-        path: Pieces in travel order, along the left border.
-        speed_kmh: Speed limit.
-        start: Its left border begins here.
-        follows: It begins where that road ends, left borders aligned.
-        leaves: It begins at the end of that lane (an off-ramp).
-        joins: It ends at the beginning of that lane (an on-ramp).
-        opposite: It is the other carriageway of that road, and takes its shape from it.
-        lane_width_m: Overrides the scene's.
-    """
-
-    id: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
-    lanes: int = Field(ge=1, le=8)
-    path: list[Straight | Bend] = []
-    speed_kmh: Positive = 100.0
-    start: Start | None = None
-    follows: str | None = None
-    leaves: LaneRef | None = None
-    joins: LaneRef | None = None
-    opposite: Opposite | None = None
-    lane_width_m: float | None = Field(default=None, ge=2.5, le=5.0)
-
-    @model_validator(mode="after")
-    def _one_place(self) -> Road:
-        places = ("start", "follows", "leaves", "joins", "opposite")
-        given = [name for name in places if getattr(self, name) is not None]
-        if len(given) != 1:
-            raise ValueError(
-                f"road '{self.id}' has {given or 'no place'}, expected exactly one of {places}"
-            )
-        if bool(self.path) == bool(self.opposite):
-            raise ValueError(
-                f"road '{self.id}' has {len(self.path)} path pieces, "
-                "expected none with 'opposite', at least one otherwise"
-            )
-        return self
-
-    @property
-    def anchor(self) -> str | None:
-        """The road that this one's place depends on."""
-        ref = self.leaves or self.joins or self.opposite
-        return ref.road if ref else self.follows
-
-
-class Flow(_Strict):
+class Flow(StrictModel):
     """Traffic along a list of roads.
 
     Attributes:
         route: Roads in travel order.
         per_hour: Vehicles per hour.
         lane_shares: Share of the flow that enters in each lane, right to left; default even.
+        arrival_lane: Lane of the last road that its drivers choose, 0 the rightmost; default any.
     """
 
     route: list[str] = Field(min_length=1)
     per_hour: Positive
     lane_shares: list[Share] | None = None
+    arrival_lane: int | None = Field(default=None, ge=0)
 
 
-class Traffic(_Strict):
+class Traffic(StrictModel):
     """All traffic.
 
     Attributes:
@@ -150,21 +67,14 @@ class Traffic(_Strict):
 
     @model_validator(mode="after")
     def _known_types(self) -> Traffic:
-        unknown = sorted(set(self.mix) - set(VEHICLE_TYPES))
-        if unknown:
-            raise ValueError(f"mix has {unknown}, expected types of {sorted(VEHICLE_TYPES)}")
+        for name in self.mix:
+            if name not in VEHICLE_TYPES:
+                known = ", ".join(VEHICLE_TYPES)
+                raise WrongValue(("mix", name), "an unknown type", f"one of {known}")
         return self
 
 
-class RoadPoint(_Strict):
-    """A point seen from a road: metres along its left border, and to the right of it."""
-
-    road: str
-    along_m: float = Field(ge=0.0)
-    right_m: float = 0.0
-
-
-class Camera(_Strict):
+class Camera(StrictModel):
     """A camera on a pole.
 
     Attributes:
@@ -180,11 +90,11 @@ class Camera(_Strict):
     height_m: float = Field(ge=3.0, le=60.0)
     look_at: RoadPoint
     horizontal_fov_deg: float = Field(default=60.0, ge=5.0, le=120.0)
-    image_size: tuple[int, int] = (1920, 1080)
+    image_size: tuple[Pixels, Pixels] = (1920, 1080)
     fps: float = Field(default=15.0, ge=1.0, le=60.0)
 
 
-class Detector(_Strict):
+class Detector(StrictModel):
     """Faults of the imagined detector and tracker.
 
     Attributes:
@@ -210,10 +120,10 @@ class Detector(_Strict):
     time_jitter_s: float = Field(default=0.002, ge=0.0)
 
 
-class Scene(_Strict):
+class Scene(StrictModel):
     """A synthetic roadside camera and the road it watches."""
 
-    name: str
+    name: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")
     description: str
     place: Place
     lane_width_m: float = Field(default=3.6, ge=2.5, le=5.0)
@@ -221,47 +131,44 @@ class Scene(_Strict):
     traffic: Traffic
     camera: Camera
     detector: Detector = Detector()
-    driving_side: Literal["right"] = "right"
 
     @model_validator(mode="after")
-    def _known_roads(self) -> Scene:
-        known: set[str] = {road.id for road in self.roads}
-        if len(known) != len(self.roads):
-            raise ValueError("roads: two have the same id, expected distinct ids")
-        for road in self.roads:
-            if road.anchor and road.anchor not in known:
-                raise ValueError(
-                    f"road '{road.id}' refers to '{road.anchor}', expected one of {sorted(known)}"
-                )
-        named = [name for flow in self.traffic.flows for name in flow.route]
-        for name in [*named, self.camera.pole.road, self.camera.look_at.road]:
-            if name not in known:
-                raise ValueError(f"no road '{name}', expected one of {sorted(known)}")
+    def _consistent(self) -> Scene:
+        check_scene(self)
         return self
+
+
+def shipped_scenes() -> list[str]:
+    """Names of the scenes that come with the package."""
+    return sorted(file.stem for file in share_path(_FOLDER).glob("*.yaml"))
 
 
 def load_scene(path: str | Path) -> Scene:
     """Read a scene file, or a shipped scene by its bare name.
 
     Raises:
-        InputFileError: No such file, or a value that a scene can't have, named by its key.
+        InputFileError: No such file, or a value that a scene can't have, with its line and key.
     """
     file = Path(path)
-    if not file.suffix:
-        file = share_path(f"params/scenes/{path}.yaml")
+    if not file.suffix and str(path) == file.name and not file.is_file():
+        if file.name not in shipped_scenes():
+            expected = f"a file, or one of {', '.join(shipped_scenes())}"
+            raise InputFileError(f"scene '{path}'", "no such scene", expected)
+        file = share_path(f"{_FOLDER}/{path}.yaml")
     try:
-        text = file.read_text(encoding="utf-8")
+        text = file.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise InputFileError(str(path), f"unreadable ({error})", "a scene file in YAML") from error
+        reason = getattr(error, "strerror", None) or "no text in UTF-8"
+        raise InputFileError(str(path), reason.lower(), "a scene file in YAML") from error
     try:
         return Scene.model_validate(yaml.safe_load(text))
     except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        place = f"{file}, line {mark.line + 1}" if mark else str(file)
-        raise InputFileError(place, "broken YAML", "a scene file in YAML") from error
+        raise broken_yaml(error, str(file)) from error
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "the scene"
-        raise InputFileError(
-            f"{file}, key '{key}'", repr(first["input"])[:80], first["msg"]
-        ) from error
+        raise wrong_scene(error, text, str(file), _keys()) from error
+
+
+def _keys() -> set[str]:
+    """All keys that may stand somewhere in a scene file."""
+    models = StrictModel.__subclasses__()
+    return {key for model in models for key in model.model_fields}
