@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
+from importlib.util import find_spec
 from pathlib import Path
 from xml.etree import ElementTree as Xml
 
 import numpy as np
-import sumolib
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import GeoOrbitError
@@ -20,11 +21,29 @@ class NetworkError(GeoOrbitError):
     """SUMO can't make a network of the scene's roads."""
 
 
+def netconvert_path() -> str:
+    """Path of SUMO's netconvert.
+
+    Raises:
+        NetworkError: SUMO, or one of its Python packages, is not installed.
+    """
+    install = "SUMO: pip install eclipse-sumo libsumo sumolib"
+    for package in ("sumolib", "libsumo"):
+        if find_spec(package) is None:
+            raise NetworkError("simulator SUMO", f"no Python package '{package}'", install)
+    import sumolib
+
+    program = shutil.which(sumolib.checkBinary("netconvert"))
+    if program is None:
+        raise NetworkError("simulator SUMO", "no program 'netconvert'", install)
+    return str(program)
+
+
 def write_network(placed: dict[str, PlacedRoad], folder: Path) -> Path:
     """Write plain XML, run netconvert, return the path of `net.xml`.
 
     Raises:
-        NetworkError: netconvert refuses the roads or does not end.
+        NetworkError: netconvert is not there, refuses the roads or does not end.
     """
     nodes, edges = Xml.Element("nodes"), Xml.Element("edges")
     connections = Xml.Element("connections")
@@ -62,7 +81,7 @@ def write_network(placed: dict[str, PlacedRoad], folder: Path) -> Path:
         Xml.ElementTree(tree).write(folder / f"scene.{stem}.xml", encoding="utf-8")
     net = folder / "scene.net.xml"
     command = [
-        sumolib.checkBinary("netconvert"),
+        netconvert_path(),
         f"--node-files={folder / 'scene.nod.xml'}",
         f"--edge-files={folder / 'scene.edg.xml'}",
         f"--connection-files={folder / 'scene.con.xml'}",
@@ -77,8 +96,14 @@ def write_network(placed: dict[str, PlacedRoad], folder: Path) -> Path:
     except subprocess.TimeoutExpired as error:
         raise NetworkError("netconvert", f"no end after {TIME_LIMIT_S} s", "a network") from error
     if done.returncode != 0 or not net.exists():
-        raise NetworkError("netconvert", done.stderr.strip()[-300:], "a network")
+        raise NetworkError("netconvert", last_line(done.stderr), "a network")
     return net
+
+
+def last_line(text: str) -> str:
+    """What a program said last, in one line."""
+    lines = text.strip().splitlines()
+    return lines[-1].strip()[:300] if lines else "no message"
 
 
 def _start_node(name: str, place: PlacedRoad) -> str:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.core.errors import InputFileError
 from geoorbit_ros.scenes.road_plan import Bend, LaneRef, Road
 from geoorbit_ros.scenes.scene import Scene
 
@@ -52,18 +51,11 @@ class PlacedRoad:
 
 
 def place_roads(scene: Scene) -> dict[str, PlacedRoad]:
-    """All roads of a scene in map coordinates.
-
-    Raises:
-        InputFileError: Roads that refer to each other in a circle, or to a lane that is not there.
-    """
+    """All roads of a scene in map coordinates."""
     placed: dict[str, PlacedRoad] = {}
     waiting = list(scene.roads)
-    while waiting:
+    while waiting:  # ends: a scene's roads form no circle (scene_rules)
         ready = [road for road in waiting if road.anchor in (None, *placed)]
-        if not ready:
-            names = ", ".join(road.id for road in waiting)
-            raise InputFileError(f"scene '{scene.name}'", f"roads in a circle: {names}", "a start")
         for road in ready:
             placed[road.id] = _place(road, placed, road.lane_width_m or scene.lane_width_m)
         waiting = [road for road in waiting if road.id not in placed]
@@ -136,13 +128,8 @@ def _place(road: Road, placed: dict[str, PlacedRoad], width_m: float) -> PlacedR
 
 
 def _left_offset_m(road: Road, ref: LaneRef, other: PlacedRoad) -> float:
-    rightmost, leftmost = ref.lane, ref.lane + road.lanes - 1
-    if leftmost >= other.road.lanes:
-        raise InputFileError(
-            f"road '{road.id}'",
-            f"lanes {rightmost} to {leftmost} of '{ref.road}'",
-            f"lanes 0 to {other.road.lanes - 1}",
-        )
+    """How far right of the left border of `other` that of `road` is, at the lane `ref`."""
+    leftmost = ref.lane + road.lanes - 1
     return (other.road.lanes - 1 - leftmost) * other.width_m
 
 

@@ -14,7 +14,15 @@ from geoorbit_ros.core.errors import InputFileError
 Key = tuple[str | int, ...]
 """Keys and list positions on the way from the file's top to a value."""
 
-_KINDS = {"dict": "a list of keys and values", "list": "a list", "model": "keys and values"}
+_EXPECTED = {
+    **dict.fromkeys(("int_type", "int_parsing", "int_from_float"), "a whole number"),
+    **dict.fromkeys(("float_type", "float_parsing", "finite_number"), "a finite number"),
+    **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "keys with values"),
+    **dict.fromkeys(("list_type", "tuple_type"), "a list"),
+    "string_type": "a text",
+    "string_pattern_mismatch": "letters, digits and _, a letter first",
+}
+"""Pydantic's error types in plain words."""
 
 
 class WrongValue(ValueError):  # noqa: N818 - pydantic collects it, users see InputFileError
@@ -42,8 +50,9 @@ def broken_yaml(error: yaml.YAMLError, file: str) -> InputFileError:
     """The error for a file that is no YAML."""
     mark = getattr(error, "problem_mark", None)
     place = f"{file}, line {mark.line + 1}" if mark else file
-    problem = getattr(error, "problem", None) or "broken YAML"
-    return InputFileError(place, problem, "a scene file in YAML")
+    problem = getattr(error, "problem", None)
+    found = f"broken YAML ({problem})" if problem else "broken YAML"
+    return InputFileError(place, found, "a scene file")
 
 
 def wrong_scene(
@@ -57,7 +66,10 @@ def wrong_scene(
         file: Its name.
         known_keys: All keys that a scene file may have somewhere, to correct a misspelt one.
     """
-    first = error.errors()[0]
+    errors = error.errors()
+    # A misspelt key is also a missing one: say what was spelt.
+    unknown = [e for e in errors if e["type"] == "extra_forbidden"]
+    first = (unknown or errors)[0]
     cause = first.get("ctx", {}).get("error")
     if isinstance(cause, WrongValue):
         key, found, expected = (*first["loc"], *cause.key), str(cause.found), cause.expected
@@ -71,15 +83,14 @@ def wrong_scene(
 
 def _words(error: ErrorDetails, known_keys: list[str]) -> tuple[str, str]:
     """What was found and expected, from pydantic's error."""
-    value = repr(error["input"])
-    value = value if len(value) <= 60 else f"{value[:60]}..."
-    if error["type"] == "missing":
-        return "nothing", "a value"
+    if error["type"] == "missing" or error["input"] is None:
+        return "nothing", _EXPECTED.get(error["type"], "a value")
     if error["type"] == "extra_forbidden":
         close = get_close_matches(str(error["loc"][-1]), known_keys, n=1)
         return "an unknown key", f"'{close[0]}'?" if close else "a key that scene files have"
-    expected = error["msg"].removeprefix("Input should be ").removeprefix("a valid ")
-    return value, _KINDS.get(expected.split(" ")[0], expected)
+    value = repr(error["input"])
+    value = value if len(value) <= 60 else f"{value[:60]}..."
+    return value, _EXPECTED.get(error["type"], error["msg"].removeprefix("Input should be "))
 
 
 def _find(text: str, key: Sequence[str | int]) -> tuple[int, Key]:

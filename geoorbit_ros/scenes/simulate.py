@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.control_points import ControlPoints
 from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE, TRACK_DTYPE, Frames
 from geoorbit_ros.scenes.camera import PinholeCamera, look_at
@@ -28,6 +29,11 @@ WANDER_TIME_S = 4.0
 CLEAN_SIGMA_M = 0.02
 START_NS = 1_000_000_000
 """Stamp of the first frame; zero stamps mean 'unset' in ROS."""
+MIN_DURATION_S = 1.0
+MAX_DURATION_S = 21600.0
+"""Six hours: all frames are held in memory."""
+MAX_SEED = 2**31 - 1
+"""SUMO's seed is an int32."""
 
 
 @dataclass(frozen=True)
@@ -69,9 +75,11 @@ def simulate(
     """Run a scene. The same scene, duration and seed give the same bits.
 
     Raises:
-        InputFileError: The scene's roads contradict each other.
-        NetworkError, TrafficError: SUMO refuses them.
+        ParameterError: A duration or a seed out of range.
+        NetworkError, TrafficError: SUMO is not installed, or refuses the scene.
     """
+    _check_range("duration", duration_s, MIN_DURATION_S, MAX_DURATION_S, "s")
+    _check_range("seed", seed, 0, MAX_SEED)
     report = progress or (lambda _what, _share: None)
     placed = place_roads(scene)
     camera = _camera(scene, placed)
@@ -109,6 +117,13 @@ def simulate(
         survey_control_points(placed, camera, datum, seed),
         camera,
     )
+
+
+def _check_range(name: str, value: float, low: float, high: float, unit: str = "") -> None:
+    if not low <= value <= high:
+        raise ParameterError(
+            name, f"{value:g} {unit}".strip(), f"{low:.3g} to {high:.10g} {unit}".strip()
+        )
 
 
 def _camera(scene: Scene, placed: dict[str, PlacedRoad]) -> PinholeCamera:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import GeoOrbitError
-from geoorbit_ros.scenes.network import write_network
+from geoorbit_ros.scenes.network import last_line, write_network
 from geoorbit_ros.scenes.roads import PlacedRoad
 from geoorbit_ros.scenes.scene import Scene
 from geoorbit_ros.scenes.vehicles import VEHICLE_TYPES
@@ -86,7 +86,7 @@ def simulate_traffic(
         except subprocess.TimeoutExpired as error:
             raise TrafficError("sumo", f"no end after {TIME_LIMIT_S} s", "an end") from error
         if done.returncode != 0:
-            raise TrafficError("sumo", done.stderr.strip()[-300:], "a simulation")
+            raise TrafficError("sumo", last_line(done.stderr), "a simulation")
         return _read(folder, vehicles)
 
 
@@ -98,6 +98,8 @@ class _Departure:
     route: tuple[str, ...]
     lane: int
     speed_factor: float
+    early_lane_change: float
+    arrival_lane: int | None
 
 
 def _departures(scene: Scene, duration_s: float, seed: int) -> list[_Departure]:
@@ -133,6 +135,9 @@ def _departures(scene: Scene, duration_s: float, seed: int) -> list[_Departure]:
                         tuple(flow.route),
                         lane,
                         float(np.clip(factor, 0.6, 1.4)),
+                        # Drivers differ widely in how late they leave an ending lane.
+                        float(scene.traffic.early_lane_change * np.exp(0.6 * random.normal())),
+                        flow.arrival_lane,
                     )
                 )
     return sorted(found, key=lambda d: d.time_s)
@@ -142,13 +147,15 @@ def _write_routes(scene: Scene, vehicles: list[_Departure], path: Path) -> None:
     lines = ["<routes>"]
     for k, v in enumerate(vehicles):
         spec = VEHICLE_TYPES[v.type_name]
+        arrival = "" if v.arrival_lane is None else f' arrivalLane="{v.arrival_lane}"'
         lines.append(
             f'<vType id="t{k}" vClass="{spec.vclass}" length="{v.size[0]:.3f}" '
             f'width="{v.size[1]:.3f}" height="{v.size[2]:.3f}" speedFactor="{v.speed_factor:.4f}" '
             f'speedDev="0" maxSpeed="55" lcKeepRight="{scene.traffic.keep_right}" '
-            f'lcStrategic="{scene.traffic.early_lane_change}"/>'
+            f'lcStrategic="{v.early_lane_change:.3f}"/>'
             f'<vehicle id="{k}" type="t{k}" depart="{v.time_s:.2f}" departLane="{v.lane}" '
-            f'departSpeed="desired" departPos="base"><route edges="{" ".join(v.route)}"/></vehicle>'
+            f'departSpeed="desired" departPos="base"{arrival}>'
+            f'<route edges="{" ".join(v.route)}"/></vehicle>'
         )
     path.write_text("\n".join([*lines, "</routes>"]), encoding="utf-8")
 
