@@ -9,6 +9,8 @@ Array = NDArray[np.float64]
 
 CORNER = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)])
 """The eight corners in units of length, width and height; the origin is the footprint's centre."""
+COORDINATE = np.array([0, 1, 0, 1])
+"""Left and right edges are columns of the image, top and bottom ones rows."""
 
 
 def on_plane(projection: Array, pixel: Array, z_m: Array) -> tuple[Array, Array]:
@@ -52,26 +54,35 @@ def corners(projection: Array, xy: Array, axes: Array) -> tuple[Array, Array]:
     return uvw[..., :2] / uvw[..., 2:], uvw[..., 2]
 
 
-def box_of_vehicle(uv: Array, depth: Array, axes: Array, size_m: Array) -> tuple[Array, Array]:
-    """Sides of the box round the corners and their slope with the vehicle's size.
+def edges(uv: Array) -> Array:
+    """Left, top, right, bottom (M, 4) of the boxes round corners (M, 8, 2)."""
+    return np.concatenate((uv.min(axis=1), uv.max(axis=1)), axis=1)
+
+
+def edge_slopes(
+    projection: Array, uv: Array, depth: Array, axes: Array, size_m: Array
+) -> tuple[Array, Array, Array]:
+    """How the edges of a vehicle's box move with its position and size.
+
+    An edge moves as the corner that touches it, and a corner with its share of each dimension.
 
     Args:
+        projection: (3, 4).
         uv: (M, 8, 2) corners in pixels.
         depth: (M, 8) of the corners.
         axes: (M, 3, 3) from `vehicle_axes`.
-        size_m: (M, 3) length, width, height.
+        size_m: (M, 3) length, width, height that `axes` were made with.
 
     Returns:
-        (M, 2) width and height in pixels and (M, 2, 3) their derivatives by length, width and
-        height. A corner that bounds the box moves by its own share of each dimension.
+        Edges (M, 4), left, top, right, bottom; their slopes with x and y (M, 4, 2); their slopes
+        with length, width and height (M, 4, 3). Pixels, pixels per metre.
     """
-    row, column = np.arange(len(uv))[:, None], np.arange(2)
-    side_of = axes[:, :, :2].transpose(0, 2, 1)
-    sides, slope = np.zeros((len(uv), 2)), np.zeros((len(uv), 2, 3))
-    for sign, extreme in ((1.0, np.argmax(uv, axis=1)), (-1.0, np.argmin(uv, axis=1))):
-        edge = uv[row, extreme, column]
-        moved = side_of - edge[:, :, None] * axes[:, None, :, 2]
-        share = CORNER[extreme] / (depth[row, extreme][:, :, None] * size_m[:, None, :])
-        sides += sign * edge
-        slope += sign * moved * share
-    return sides, slope
+    touching = np.concatenate((uv.argmin(axis=1), uv.argmax(axis=1)), axis=1)
+    row = np.arange(len(uv))[:, None]
+    edge = uv[row, touching, COORDINATE]
+    scale = 1.0 / depth[row, touching][:, :, None]
+    moved = axes[:, None, :, 2] * -edge[:, :, None]
+    moved += axes.transpose(0, 2, 1)[:, COORDINATE]
+    with_position = projection[COORDINATE, :2] - edge[:, :, None] * projection[2, :2]
+    with_size = CORNER[touching] * moved / size_m[:, None, :]
+    return edge, with_position * scale, with_size * scale

@@ -7,17 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.calibration.box_geometry import (
-    box_of_vehicle,
-    corners,
-    on_plane,
-    vehicle_axes,
-)
 from geoorbit_ros.calibration.camera_pose import CameraPose, recover_pose
 from geoorbit_ros.calibration.homography import Homography
 from geoorbit_ros.calibration.motion import MotionFilter
 from geoorbit_ros.calibration.plane import worst_sigma
 from geoorbit_ros.calibration.track_slots import TrackSlots
+from geoorbit_ros.calibration.vehicle_fit import fit_vehicles
 from geoorbit_ros.calibration.vehicle_size import SizeFilter
 from geoorbit_ros.core.errors import CalibrationError, TableError
 from geoorbit_ros.core.tables import (
@@ -30,18 +25,14 @@ from geoorbit_ros.core.tables import (
 
 Array = NDArray[np.float64]
 
-CENTRE_SIGMA_PX = 0.8
-CENTRE_SIGMA_RATIO = 0.01
-"""1-sigma of a box's centre, from its frame-to-frame noise at two cameras on US-12: 0.7 to 0.9 px
-for sides below 110 px, 1.3 to 2 px at 200 px."""
 BORDER_RATIO = 0.01
 """Boxes that end within 1 % of the image from its border are truncated. At the US-12 cameras the
 ends of boxes pile up within 4 px of the right border and 9 px of the bottom one (1920x1080):
 detectors round to their stride and don't reach the last pixels."""
-CENTRE_ITERATIONS = 2
-"""Each one divides what is left of the correction by more than five."""
 MAX_SIGMA_M = 10.0
 """Farther out a vehicle's position along the road is uncertain by two of its lengths."""
+PATH_HEIGHT_M = 0.8
+"""Half the height of a car."""
 
 
 @dataclass(slots=True)
@@ -68,12 +59,10 @@ class ProjectionCounts:
 class BoxProjector:
     """Projects boxes to the road; implements `ground.GroundProjector`.
 
-    A box's centre is, to first order, the image of the centre of the vehicle's body, which is half
-    its height above the road. So the ray through it is met with that plane. Then the vehicle's
-    eight corners are projected, and the difference between the centre of their box and that of
-    the observed box moves the ray: perspective pulls the box of a long vehicle towards its near
-    end. Length, width and height are learnt per track from the sides of its boxes, the heading
-    from its motion.
+    The vehicle is a box on the road, turned the way it moves. The ground point is where its image
+    explains the four edges of the observed box best (`vehicle_fit`). Length, width and height are
+    learnt per track from the sides of its boxes (`vehicle_size`), the heading from its motion
+    (`motion`); both use the past only, so the result of a frame never changes.
 
     Without a recoverable camera pose (`pose_error` says why) the ground point is the middle of the
     box's lower edge, which lies up to half a vehicle's length nearer to the camera.
@@ -140,31 +129,33 @@ class BoxProjector:
             return np.empty(0, dtype=TRACK_DTYPE)
         observed = (rows["flags"] & FLAG_PREDICTED) == 0
         solid = (rows["flags"] & FLAG_GROUND_POINT) == 0
+        if self.pose is None:
+            centre, solid = _foot(centre, side), np.zeros_like(solid)
+            side = np.zeros_like(side)
 
         slot, dt, fresh = self._slots.enter(stamp_ns, rows["track_id"])
         self._motion.reserve(self._slots.capacity)
         self._sizes.reserve(self._slots.capacity)
-        size, height_sigma = self._sizes.enter(slot, fresh, rows["class_id"])
+        size, size_cov = self._sizes.enter(slot, fresh, rows["class_id"])
         heading = self._motion.enter(slot, fresh)
-
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            fit = fit_vehicles(self._projection, centre, side, heading, size, size_cov, solid)
+        usable = solid & observed & ~truncated & fit.good & ~np.isnan(heading)
+        self._sizes.update(slot, rows, dt, side, fit.side_px, fit.side_slope, usable)
+        total = fit.covariance + self.homography.fit_covariance(centre)
         if self.pose is None:
-            xy, _ = on_plane(self._projection, _foot(centre, side), np.zeros(len(rows)))
-            sigma, noise = self._sigma(xy, np.zeros(len(rows)), side, size[:, 1] / 2)
-        else:
-            shaped = solid & np.isfinite(heading)
-            z = np.where(solid, size[:, 2] / 2, 0.0)
-            xy, predicted, slope = self._match(centre, z, heading, size, shaped)
-            usable = shaped & observed & ~truncated
-            self._sizes.update(slot, rows, dt, side, predicted, slope, usable)
-            sigma, noise = self._sigma(xy, z, side, np.where(solid, height_sigma / 2, 0.0))
-
-        # A vehicle whose height is still unknown moves all the same: its motion is what its size
-        # is learnt with. Only the noise of the box decides whether a position is any use for that.
-        far = noise > self._max_sigma_m
+            total[:, (0, 1), (0, 1)] += (size[:, 1:2] / 2) ** 2
+        sigma, noise = worst_sigma(total), worst_sigma(fit.noise)
+        # A vehicle of unknown size moves all the same, and its size is learnt with its heading:
+        # only the noise of the box decides whether a position is any use for the motion.
         time_s = (stamp_ns - self._epoch_ns) * 1e-9
-        velocity, heading = self._motion.update(slot, time_s, xy, noise, observed & ~far)
+        observed &= noise <= self._max_sigma_m
+        path, scale = self._path(fit.first_xy, size, solid)
+        velocity, heading = self._motion.update(slot, time_s, path, noise, observed)
+        velocity = velocity * scale
+
         out = np.empty(len(rows), dtype=TRACK_DTYPE)
-        out["x"], out["y"] = xy.T
+        out["x"], out["y"] = fit.xy.T
         out["vx"], out["vy"] = velocity.T
         out["heading"], out["sigma"] = heading, sigma
         out["length"], out["width"] = size[:, 0], size[:, 1]
@@ -199,52 +190,19 @@ class BoxProjector:
             return rows, centre, box[:, 2:], truncated
         return rows[kept], centre[kept], box[kept, 2:], truncated[kept]
 
-    def _match(
-        self, centre: Array, z: Array, heading: Array, size: Array, shaped: NDArray[np.bool_]
-    ) -> tuple[Array, Array, Array]:
-        """Ground points whose vehicles' boxes have the observed centres.
+    def _path(self, first_xy: Array, size: Array, solid: NDArray[np.bool_]) -> tuple[Array, Array]:
+        """Positions (M, 2) for the motion filter and the scale (M, 1) of their velocities.
 
-        Returns:
-            Metres (M, 2), the sides of the predicted boxes (M, 2) and their slopes (M, 2, 3).
+        While a vehicle's size is being learnt its ground point shifts, which isn't motion. The
+        image of its body's centre on a plane of fixed height doesn't shift, and another height
+        only scales that plane's path about the point below the camera.
         """
-        xy, _ = on_plane(self._projection, centre, z)
-        axes = vehicle_axes(self._projection, np.where(shaped, heading, 0.0), size)
-        target = centre
-        for _ in range(CENTRE_ITERATIONS):
-            uv, depth = corners(self._projection, xy, axes)
-            middle = (uv.max(axis=1) + uv.min(axis=1)) / 2
-            target = target + (centre - middle)
-            moved, scale = on_plane(self._projection, target, z)
-            good = shaped & (scale > 0) & (depth > 0).all(axis=1)
-            xy = np.where(good[:, None], moved, xy)
-        sides, slope = box_of_vehicle(uv, depth, axes, size)
-        return xy, sides, slope
-
-    def _sigma(self, xy: Array, z: Array, side: Array, offset_m: Array) -> tuple[Array, Array]:
-        """1-sigma ground error (M,) along its worst direction: in all, and of the box alone.
-
-        Args:
-            xy: (M, 2) ground points.
-            z: (M,) height of the point that was projected to the ground.
-            side: (M, 2) box sides, pixels.
-            offset_m: (M,) 1-sigma of z, or without a pose of the offset on the ground.
-        """
-        p = self._projection
-        uvw = xy @ p[:, :2].T + p[:, 3] + z[:, None] * p[:, 2]
-        uv = uvw[:, :2] / uvw[:, 2:]
-        j = (p[:2] - uv[:, :, None] * p[2]) / uvw[:, 2, None, None]
-        inverse = np.empty((len(xy), 2, 2))
-        inverse[:, 0, 0], inverse[:, 1, 1] = j[:, 1, 1], j[:, 0, 0]
-        inverse[:, 0, 1], inverse[:, 1, 0] = -j[:, 0, 1], -j[:, 1, 0]
-        inverse /= (j[:, 0, 0] * j[:, 1, 1] - j[:, 0, 1] * j[:, 1, 0])[:, None, None]
-        pixel = CENTRE_SIGMA_PX**2 + (CENTRE_SIGMA_RATIO * side) ** 2
-        noise = (inverse * pixel[:, None, :]) @ np.swapaxes(inverse, 1, 2)
-        fit = self.homography.fit_covariance(uv)
         if self.pose is None:
-            shift = np.eye(2)[None] * offset_m[:, None, None]
-        else:
-            shift = (inverse @ j[:, :, 2:3]) * offset_m[:, None, None]
-        return worst_sigma(noise + fit + shift @ np.swapaxes(shift, 1, 2)), worst_sigma(noise)
+            return first_xy, np.ones((len(first_xy), 1))
+        below = self.pose.position_m[:2]
+        depth = self.pose.position_m[2] - np.where(solid, size[:, 2] / 2, PATH_HEIGHT_M)
+        scale = (depth / (self.pose.position_m[2] - PATH_HEIGHT_M))[:, None]
+        return below + (first_xy - below) / scale, scale
 
     def _check_frame(self, stamp_ns: int, rows: NDArray[np.void]) -> None:
         if rows.dtype != PIXEL_TRACK_DTYPE:

@@ -44,8 +44,12 @@ CORRELATION = np.array(
 )
 """A long truck is wide and tall, a pickup is neither."""
 
-PRECISION = np.linalg.inv(CORRELATION * SIGMA_M[:, :, None] * SIGMA_M[:, None, :])
-LOWEST_M, HIGHEST_M = np.maximum(MEAN_M - 3 * SIGMA_M, 0.4), MEAN_M + 5 * SIGMA_M
+COVARIANCE = CORRELATION * SIGMA_M[:, :, None] * SIGMA_M[:, None, :]
+PRECISION = np.linalg.inv(COVARIANCE)
+LARGEST_M = np.array([25.0, 2.8, 4.6])
+"""No vehicle on a public road is longer, wider or higher without a permit, mirrors included."""
+LOWEST_M = np.maximum(MEAN_M - 3 * SIGMA_M, 0.4)
+HIGHEST_M = np.minimum(MEAN_M + 5 * SIGMA_M, LARGEST_M)
 
 BOX_SIGMA_PX = 1.5
 BOX_SIGMA_RATIO = 0.05
@@ -56,19 +60,26 @@ CORRELATION_S = 0.5
 don't count as 30 measurements."""
 HUBER = 2.5
 
-DIM, HEIGHT_SIGMA, CLASS, INFO, VECTOR = (slice(0, 3), 3, slice(4, 8), slice(8, 17), slice(17, 20))
+DIM, COV, CLASS, INFO, VECTOR = (
+    slice(0, 3),
+    slice(3, 12),
+    slice(12, 16),
+    slice(16, 25),
+    slice(25, 28),
+)
+COLUMNS = 28
 
 
 class SizeFilter:
     """Recursive least squares on (length, width, height), one 3x3 system per slot.
 
     The sides of the box are linear in the three dimensions for a given position and heading
-    (`box_geometry.box_of_vehicle`). The class's typical size is the prior; the class is the one
+    (`box_geometry.edge_slopes`). The class's typical size is the prior; the class is the one
     with the largest sum of scores so far.
     """
 
     def __init__(self, capacity: int) -> None:
-        self._state = np.zeros((capacity, 20))
+        self._state = np.zeros((capacity, COLUMNS))
 
     def reserve(self, capacity: int) -> None:
         """Make room for that many slots."""
@@ -81,15 +92,15 @@ class SizeFilter:
     def enter(
         self, slot: NDArray[np.intp], fresh: NDArray[np.bool_], class_id: NDArray[np.int32]
     ) -> tuple[Array, Array]:
-        """Size (M, 3) and 1-sigma of the height (M,) known before this frame, metres."""
+        """Size (M, 3), metres, and its covariance (M, 3, 3), as known before this frame."""
         if fresh.any():
             group = np.array([GROUP.get(c, CAR) for c in class_id[fresh].tolist()], dtype=np.intp)
-            new = np.zeros((len(group), 20))
+            new = np.zeros((len(group), COLUMNS))
             new[:, DIM] = MEAN_M[group]
-            new[:, HEIGHT_SIGMA] = SIGMA_M[group, 2]
+            new[:, COV] = COVARIANCE[group].reshape(-1, 9)
             self._state[slot[fresh]] = new
         s = self._state[slot]
-        return s[:, DIM], s[:, HEIGHT_SIGMA]
+        return s[:, DIM], s[:, COV].reshape(-1, 3, 3)
 
     def update(
         self,
@@ -114,7 +125,7 @@ class SizeFilter:
         """
         s = self._state[slot]
         group = np.array([GROUP.get(c, CAR) for c in rows["class_id"].tolist()], dtype=np.intp)
-        s[np.arange(len(s)), 4 + group] += np.maximum(rows["score"], 1e-3)
+        s[np.arange(len(s)), CLASS.start + group] += np.maximum(rows["score"], 1e-3)
 
         variance = BOX_SIGMA_PX**2 + (BOX_SIGMA_RATIO * side_px) ** 2
         residual = side_px - predicted_px
@@ -132,5 +143,5 @@ class SizeFilter:
         vector = s[:, VECTOR] + (precision @ MEAN_M[prior][:, :, None])[:, :, 0]
         size = (covariance @ vector[:, :, None])[:, :, 0]
         s[:, DIM] = np.clip(size, LOWEST_M[prior], HIGHEST_M[prior])
-        s[:, HEIGHT_SIGMA] = np.sqrt(covariance[:, 2, 2])
+        s[:, COV] = covariance.reshape(-1, 9)
         self._state[slot] = s
