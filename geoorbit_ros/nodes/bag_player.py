@@ -25,8 +25,7 @@ from geoorbit_ros.storage.bag_reader import bag_messages, describe_bag
 from geoorbit_ros.storage.playback import Playback, rename_camera
 
 TICK_S = 0.005
-BATCH = 50
-"""Most messages per tick, so that the other nodes of a process get their turn."""
+BATCH = 50  # messages per tick, so that the other nodes of a process get their turn
 CLOCK_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 ACKNOWLEDGE_TIMEOUT = Duration(seconds=10)
 
@@ -36,6 +35,7 @@ class BagPlayerParameters:
     """See params/bag_player.yaml."""
 
     bag: str
+    topics: str
     rate: float
     loop: bool
     start_offset_s: float
@@ -72,10 +72,11 @@ class BagPlayerNode(GeoOrbitNode[BagPlayerParameters]):
         self.topics: dict[str, Publisher] = {}
         qos = stream_qos(p.reliability, p.queue_depth)
         for topic in describe_bag(p.bag).topics:
+            if p.topics and topic.name not in p.topics.split():
+                continue
             message_type = message_class(topic.message_type)
             if message_type is None:
-                kind = f"{topic.name}: type {topic.message_type} is not installed, not played"
-                self.get_logger().warning(kind)
+                self.get_logger().warning(f"{topic.name}: no {topic.message_type}, not played")
                 continue
             name = rename_camera(topic.name, p.camera_id)
             self.topics[topic.name] = self.create_publisher(message_type, name, qos)

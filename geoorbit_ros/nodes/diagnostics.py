@@ -28,6 +28,7 @@ class Diagnostics:
         received: Messages taken from the input stream, refused ones included.
         published: Messages sent to the output stream.
         refused: Messages that could not be used.
+        last_refusal: Why the last of them was refused.
         missing: Frames that should lie between those that came, by the stream's usual interval.
     """
 
@@ -36,7 +37,7 @@ class Diagnostics:
         self._node = node
         self._details = details
         self._latency_s: list[float] = []
-        self._last_refusal = ""
+        self.last_refusal: Exception | None = None
         self._logged_s: dict[str, float] = {}
         self._checks: list[Callable[[], str | None]] = []
         self._seen = (0, 0, 0)
@@ -53,7 +54,7 @@ class Diagnostics:
     def refuse(self, error: Exception) -> None:
         """Count a message that could not be used, and log why (each kind at most every 10 s)."""
         self.refused += 1
-        self._last_refusal = str(error)
+        self.last_refusal = error
         place = getattr(error, "place", type(error).__name__)
         self.warn(f"refused: {error}", f"{type(error).__name__} {place}")
 
@@ -81,7 +82,7 @@ class Diagnostics:
         for fault in faults:
             self.warn(fault)
         if refused:
-            faults.append(self._last_refusal)
+            faults.append(str(self.last_refusal))
         if missing:
             faults.append(f"{missing} frames missing")
         values = {
@@ -92,7 +93,7 @@ class Diagnostics:
             "published": self.published,
             "refused": self.refused,
             "missing": self.missing,
-            "last_refusal": self._last_refusal,
+            "last_refusal": self.last_refusal or "",
             **self._details(),
         }
         status = DiagnosticStatus(

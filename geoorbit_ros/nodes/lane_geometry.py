@@ -59,7 +59,7 @@ class LaneGeometryNode(GeoOrbitNode[LaneGeometryParameters]):
 
     def setup(self) -> None:
         """Start with an empty map."""
-        self._datum: Datum | None = None
+        self.datum: Datum | None = None
         self._latest: LaneMap | None = None
         self.frames = 0
         self._restart()
@@ -83,7 +83,7 @@ class LaneGeometryNode(GeoOrbitNode[LaneGeometryParameters]):
             "lanes_confirmed": confirmed,
             "lanes_tentative": len(lanes) - confirmed,
             "map_stamp_s": self._latest.stamp_ns / 1e9 if self._latest else "",
-            "datum": "known" if self._datum else "not received yet",
+            "datum": "known" if self.datum else "not received yet",
         }
 
     def _restart(self) -> None:
@@ -102,16 +102,16 @@ class LaneGeometryNode(GeoOrbitNode[LaneGeometryParameters]):
         except MessageError as error:
             self.diagnostics.refuse(error)
             return
-        if datum != self._datum:
-            self._datum = datum
+        if datum != self.datum:
+            self.datum = datum
             if self._latest is not None:
                 self._publish(self._latest)
 
     def _publish(self, lane_map: LaneMap) -> None:
         self._latest = lane_map
-        self._lanes.publish(lane_map, self._datum)
+        self._lanes.publish(lane_map, self.datum)
         self.diagnostics.published += 1
-        if self._datum is None:
+        if self.datum is None:
             topic = self.resolve_topic_name("datum")
             self.diagnostics.warn(f"{topic}: nothing received, so lanes/geojson is not published")
 

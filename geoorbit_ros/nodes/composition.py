@@ -1,0 +1,106 @@
+"""Several nodes in one process, on one executor, in a ROS context of their own."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any, TypeVar
+
+import rclpy
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from geoorbit_ros.core.errors import GeoOrbitError
+from geoorbit_ros.nodes.base import GeoOrbitNode
+from geoorbit_ros.nodes.isolation import free_domain_id
+from geoorbit_ros.nodes.process import make_executor
+
+STEP_S = 0.05
+
+AnyNode = TypeVar("AnyNode", bound=Node)
+
+
+class Composition:
+    """A context manager that holds nodes, spins them and takes them down again.
+
+    Signals stay Python's: Ctrl-C raises KeyboardInterrupt as in any command.
+
+    Args:
+        domain_id: ROS domain; None takes a free one that only this machine can see.
+    """
+
+    def __init__(self, domain_id: int | None = None) -> None:
+        if domain_id is None:
+            os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+            domain_id = free_domain_id()
+        self.domain_id = domain_id
+        self.context = Context()
+        no_signals = SignalHandlerOptions.NO
+        rclpy.init(
+            args=[], context=self.context, domain_id=domain_id, signal_handler_options=no_signals
+        )
+        self._executor = make_executor(self.context)
+        self._nodes: list[Node] = []
+
+    def add(self, node: AnyNode) -> AnyNode:
+        """Take over a node made with this composition's `context`."""
+        self._nodes.append(node)
+        self._executor.add_node(node)
+        return node
+
+    def spin(self, timeout_s: float = STEP_S) -> None:
+        """Do what is due, or wait for it; errors of callbacks come out here."""
+        self._executor.spin_once(timeout_sec=timeout_s)
+
+    def wait(
+        self,
+        met: Callable[[], bool],
+        timeout_s: float,
+        what: str,
+        progress: Callable[[], int] = int,
+    ) -> None:
+        """Spin until a condition is met.
+
+        Args:
+            met: The condition.
+            timeout_s: Longest time without progress.
+            what: What is waited for, as words for the error.
+            progress: A number that changes while things go forward.
+
+        Raises:
+            GeoOrbitError: The time is up.
+        """
+        seen, deadline = progress(), time.monotonic() + timeout_s
+        while not met():
+            self.spin()
+            if progress() != seen:
+                seen, deadline = progress(), time.monotonic() + timeout_s
+            elif time.monotonic() > deadline:
+                names = ", ".join(node.get_name() for node in self._nodes)
+                raise GeoOrbitError(f"nodes {names}", f"nothing for {timeout_s:g} s", what)
+
+    def close(self) -> None:
+        """Let the nodes finish, then destroy them and the context."""
+        try:
+            for node in self._nodes:
+                if isinstance(node, GeoOrbitNode):
+                    node.close()
+        finally:
+            self._executor.shutdown()
+            for node in self._nodes:
+                node.destroy_node()
+            self.context.try_shutdown()
+
+    def __enter__(self) -> Composition:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> Any:
+        self.close()
