@@ -29,11 +29,13 @@ class Centerline:
         station: (K,) consecutive station numbers.
         d: (K,) metres left of the spine.
         sigma_m: (K,) 1-sigma error.
+        support: (K,) vehicles that show the lane there.
     """
 
     station: NDArray[np.int64]
     d: NDArray[np.float64]
     sigma_m: NDArray[np.float64]
+    support: NDArray[np.float64]
 
 
 def fit_centerline(
@@ -89,7 +91,7 @@ def fit_centerline(
     sigma = np.sqrt(
         DRIVER_OFFSET_M**2 / max(lanes_worth, 0.5) + RESIDUAL_M**2 / np.maximum(support[k], 0.5)
     )
-    return Centerline(ridge.first + k, centre[k], sigma)
+    return Centerline(ridge.first + k, centre[k], sigma, support[k])
 
 
 def _robust_mean(value: NDArray[np.float64], weight: NDArray[np.float64]) -> float:

@@ -7,7 +7,7 @@ an axis: it depends on distances and angles between vehicles alone.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +18,19 @@ from geoorbit_ros.lanes.confidence import LaneEvidence, judge
 from geoorbit_ros.lanes.corridors import Corridor, find_corridors
 from geoorbit_ros.lanes.evidence import Evidence
 from geoorbit_ros.lanes.identity import LaneRegistry
+from geoorbit_ros.lanes.lane_ends import straighten_ends
 from geoorbit_ros.lanes.members import find_members
 from geoorbit_ros.lanes.parameters import LaneParameters
 from geoorbit_ros.lanes.passes import Passes
 from geoorbit_ros.lanes.profiles import Profiles, lateral_profiles
-from geoorbit_ros.lanes.ridges import Density, find_ridges, lateral_density, separate
+from geoorbit_ros.lanes.ridges import (
+    Density,
+    find_ridges,
+    hand_over,
+    lane_directions,
+    lateral_density,
+    separate,
+)
 from geoorbit_ros.lanes.spine import Spine
 from geoorbit_ros.lanes.widths import lane_widths, neighbour_spacings
 
@@ -106,8 +114,11 @@ def _candidates(
 ) -> list[_Candidate]:
     """The candidate lanes of one corridor, from left to right."""
     found = []
-    for ridge in separate(find_ridges(density, MIN_HEIGHT, prominence)):
-        members = find_members(profiles, ridge, corridor.scale_m)
+    crests = find_ridges(density, MIN_HEIGHT, prominence)
+    ridges = separate(hand_over(crests, len(profiles.station_m)))
+    directions = lane_directions(ridges, profiles.step_m)
+    for ridge, direction in zip(ridges, directions, strict=True):
+        members = find_members(profiles, ridge, direction, corridor.scale_m)
         line = fit_centerline(profiles, ridge, members, large, 2.0 * corridor.scale_m)
         if line is not None:
             length_m = (len(line.d) - 1) * profiles.step_m
@@ -118,6 +129,8 @@ def _candidates(
                 members.presence,
             )
             found.append(_Candidate(number, line, members.vehicles, evidence))
+    lines = straighten_ends([c.line for c in found])
+    found = [replace(c, line=line) for c, line in zip(found, lines, strict=True)]
     return sorted(found, key=lambda c: -float(np.mean(c.line.d)))
 
 

@@ -20,7 +20,7 @@ MAX_PASSES = 1500
 """Newest passes kept: ten minutes of a busy motorway, most of a day on a quiet road."""
 HALF_LIFE_S = 6 * 3600.0
 """Time after which a pass counts half: a work zone shows by the next rush hour."""
-MAX_SIGMA_M = 3.0
+MAX_SIGMA_M = 2.0
 """Rows less certain than this tell nothing about lanes."""
 
 

@@ -11,8 +11,8 @@ from geoorbit_ros.lanes.profiles import Profiles
 from geoorbit_ros.lanes.ridges import MIN_SPACING_M, Ridge
 
 MAX_OFFSET_M = 0.5 * MIN_SPACING_M
-PARALLEL = 0.05
-"""Largest slope of a vehicle against its lane; a lane change in 4 s at 30 m/s peaks at 0.05."""
+SIDEWAYS_M = 0.5
+"""A vehicle that moves sideways by more than this over one road scale is changing lanes."""
 MIN_SUPPORT = 0.6
 """Length in road scales that a vehicle must be seen in a lane to be its member."""
 BAND_M = 6.0
@@ -46,19 +46,21 @@ class Members:
     presence: float
 
 
-def find_members(profiles: Profiles, ridge: Ridge, scale_m: float) -> Members:
+def find_members(
+    profiles: Profiles, ridge: Ridge, direction: NDArray[np.float64], scale_m: float
+) -> Members:
     """Vehicles that drive along `ridge` for a while.
 
     Args:
         profiles: All vehicles of the corridor.
         ridge: The candidate lane.
+        direction: (J',) slope dd/ds that driving along the lane has at each of its stations.
         scale_m: The corridor's scale.
     """
     cut = slice(ridge.first, ridge.first + len(ridge.d))
-    smooth = np.gradient(ridge.d, profiles.step_m)
     offset = profiles.d[:, cut] - ridge.d
     near = profiles.seen[:, cut] & (np.abs(offset) <= MAX_OFFSET_M)
-    along = near & (np.abs(profiles.slope[:, cut] - smooth) <= PARALLEL)
+    along = near & (np.abs(profiles.slope[:, cut] - direction) <= SIDEWAYS_M / scale_m)
     enough = along.sum(axis=1) * profiles.step_m >= MIN_SUPPORT * scale_m
     inside = along & enough[:, None]
     mass = float(profiles.weight @ inside.sum(axis=1))
@@ -71,7 +73,7 @@ def find_members(profiles: Profiles, ridge: Ridge, scale_m: float) -> Members:
 
 
 def _presence(profiles: Profiles, ridge: Ridge) -> float:
-    middle = float(np.median(ridge.d))
+    middle = np.interp(np.arange(profiles.seen.shape[1]), ridge.stations, ridge.d)
     band = profiles.seen & (np.abs(profiles.d - middle) <= BAND_M)
     traffic = profiles.weight @ band
     cut = slice(ridge.first, ridge.first + len(ridge.d))

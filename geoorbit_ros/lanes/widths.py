@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from geoorbit_ros.lanes.centerlines import Centerline
 
 TYPICAL_WIDTH_M = 3.5
-TYPICAL_SIGMA_M = 0.2
+TYPICAL_SIGMA_M = 0.25
 """Motor-traffic lanes the world over: 3.25 to 3.75 m (AASHTO Green Book; RAA; CD 127)."""
 SPREAD_M = 0.12
 """1-sigma of lane widths within one road."""
