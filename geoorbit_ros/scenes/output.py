@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.control_points import GEODETIC_COLUMNS, PIXEL_COLUMNS
-from geoorbit_ros.core.errors import NoTrafficError
+from geoorbit_ros.core.errors import InputFileError, NoTrafficError
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.core.tables import FLAG_GROUND_POINT, PIXEL_TRACK_DTYPE, Frames, frames_from_rows
 from geoorbit_ros.lanes.geojson import write_lanes
@@ -66,6 +66,7 @@ def write_scene_run(run: SceneRun, out_dir: str | Path, camera_id: str | None = 
             f"no vehicle in {len(run.frames)} frames",
             "a longer duration, or more vehicles per hour where the camera looks",
         )
+    check_new_folder(out_dir)
     with atomic_output(out_dir) as folder:
         folder.mkdir()
         write_track_bag(folder / BAG, name, run.frames)
@@ -83,6 +84,18 @@ def write_scene_run(run: SceneRun, out_dir: str | Path, camera_id: str | None = 
     there = Path(out_dir)
     names = (BAG, TRACKS, CALIBRATION, CLEAN_TRACKS, CLEAN_CALIBRATION, TRUTH)
     return SceneFiles(*(there / file for file in names))
+
+
+def check_new_folder(path: str | Path) -> None:
+    """Refuse a folder with content, or a file, before any work is done.
+
+    Raises:
+        InputFileError: It is there already.
+    """
+    folder = Path(path)
+    if folder.is_file() or (folder.is_dir() and any(folder.iterdir())):
+        found = "a file" if folder.is_file() else "a folder with content"
+        raise InputFileError(str(path), found, "a folder that does not exist yet")
 
 
 def clean_pixels(run: SceneRun) -> Frames:

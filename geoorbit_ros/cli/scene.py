@@ -1,0 +1,122 @@
+"""`geoorbit scene`: synthetic roadside cameras with exact ground truth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from geoorbit_ros.scenes.simulate import Progress, SceneRun
+
+app = typer.Typer(
+    help="Synthetic roadside cameras whose lanes are known exactly (SUMO traffic).",
+    no_args_is_help=True,
+)
+
+_STEPS = {"traffic": "simulating traffic", "camera": "watching it"}
+
+
+@app.command("run")
+def run(
+    scene: Annotated[
+        str, typer.Argument(help="A scene file, or a shipped scene (geoorbit scene list).")
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for the files; must not exist.")],
+    duration: Annotated[float, typer.Option(help="Seconds that the camera watches.")] = 60.0,
+    seed: Annotated[
+        int, typer.Option(help="Another seed gives other vehicles and other errors.")
+    ] = 1,
+    camera_id: Annotated[
+        str | None,
+        typer.Option(help="Namespace of the camera in the bag; default: the scene's name."),
+    ] = None,
+) -> None:
+    """Let traffic pass an imagined camera, and write what it reports and what is true.
+
+    Into the folder go bag/ and tracks.csv (boxes with the faults of real detectors), calibration.csv,
+    truth.geojson (the lanes that the camera could see), clean_tracks.csv and clean_calibration.csv
+    (the same traffic without any fault).
+
+    The same scene, duration and seed give the same files.
+
+    Example: [bold]geoorbit scene run lane_drop --duration 60 --seed 1 --out lane_drop[/bold], then
+    [bold]geoorbit lanes --tracks lane_drop/tracks.csv --calibration lane_drop/calibration.csv
+    --out lanes.geojson[/bold] and [bold]geoorbit score lanes.geojson lane_drop/truth.geojson[/bold]
+    """
+    from geoorbit_ros.cli.console import status
+    from geoorbit_ros.scenes.output import check_new_folder, write_scene_run
+    from geoorbit_ros.scenes.scene import load_scene
+    from geoorbit_ros.scenes.simulate import simulate
+
+    description = load_scene(scene)
+    check_new_folder(out)
+    with _shown_progress() as progress:
+        result = simulate(description, duration, seed, progress)
+    with status("writing"):
+        write_scene_run(result, out, camera_id)
+    _print_run(result, out)
+
+
+@app.command("list")
+def list_scenes() -> None:
+    """Show the scenes that come with geoorbit.
+
+    Example: [bold]geoorbit scene list[/bold]
+    """
+    from rich.table import Table
+
+    from geoorbit_ros.cli.console import console
+    from geoorbit_ros.scenes.scene import load_scene, shipped_scenes
+
+    table = Table.grid(padding=(0, 2, 0, 0))
+    table.add_column(style="bold", no_wrap=True)
+    for name in shipped_scenes():
+        table.add_row(name, load_scene(name).description)
+    console.print(table)
+
+
+@contextmanager
+def _shown_progress() -> Iterator[Progress]:
+    """A progress display; steps whose progress is unknown pulse."""
+    from geoorbit_ros.cli.console import make_progress
+
+    with make_progress() as display:
+        tasks = {step: display.add_task(text, total=None) for step, text in _STEPS.items()}
+
+        def show(step: str, share: float) -> None:
+            if share > 0.0:
+                display.update(tasks[step], total=1.0, completed=share)
+
+        yield show
+
+
+def _print_run(result: SceneRun, out: Path) -> None:
+    import numpy as np
+
+    from geoorbit_ros.cli.console import console, make_table, say
+    from geoorbit_ros.report.words import compass
+
+    table = make_table(
+        f"True lanes of {result.scene.name}", ">lane|direction|>width m|>vehicles|>visible m"
+    )
+    for lane in result.truth:
+        table.add_row(
+            str(lane.lane_id),
+            f"{compass(lane.heading_deg):>2} {lane.heading_deg:3.0f}°",
+            f"{lane.width_m:.2f}",
+            f"{lane.vehicles:.0f}",
+            f"{lane.length_m:.0f}",
+        )
+    console.print(table)
+    rows = result.frames.rows
+    width, height = result.image_size
+    say(
+        f"{len(rows)} boxes with {len(np.unique(rows['track_id']))} track ids in "
+        f"{len(result.frames)} frames of {width}x{height}; {len(result.control_points)} control "
+        f"points."
+    )
+    console.print(f" Wrote {out}", soft_wrap=True)
