@@ -65,7 +65,7 @@ class BagPlayerNode(GeoOrbitNode[BagPlayerParameters]):
     struct = BagPlayerParameters
 
     def setup(self) -> None:
-        """Open the bag, make its topics, and wait for their subscribers."""
+        """Open the bag and make its topics."""
         p = self.p
         self.may_send: Callable[[], int] = lambda: BATCH
         self.paused = p.start_paused
@@ -92,11 +92,6 @@ class BagPlayerNode(GeoOrbitNode[BagPlayerParameters]):
     def diagnostic_values(self) -> Mapping[str, object]:
         """Where in the recording it is."""
         return {"bag_time_s": self._playback.time_ns / 1e9, "paused": self.paused}
-
-    @property
-    def time_ns(self) -> int:
-        """The recording's time."""
-        return self._playback.time_ns
 
     def _begin(self) -> None:
         p = self.p

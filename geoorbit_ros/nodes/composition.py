@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from types import TracebackType
 from typing import Any, TypeVar
 
 import rclpy
 from rclpy.context import Context
+from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
@@ -21,6 +22,7 @@ from geoorbit_ros.nodes.process import make_executor
 STEP_S = 0.05
 
 AnyNode = TypeVar("AnyNode", bound=Node)
+AnyGeoOrbitNode = TypeVar("AnyGeoOrbitNode", bound=GeoOrbitNode[Any])
 
 
 class Composition:
@@ -30,13 +32,14 @@ class Composition:
 
     Args:
         domain_id: ROS domain; None takes a free one that only this machine can see.
+        quiet: Whether the nodes log warnings and errors only.
     """
 
-    def __init__(self, domain_id: int | None = None) -> None:
+    def __init__(self, domain_id: int | None = None, *, quiet: bool = False) -> None:
         if domain_id is None:
             os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
             domain_id = free_domain_id()
-        self.domain_id = domain_id
+        self.domain_id, self._quiet = domain_id, quiet
         self.context = Context()
         no_signals = SignalHandlerOptions.NO
         rclpy.init(
@@ -50,6 +53,18 @@ class Composition:
         self._nodes.append(node)
         self._executor.add_node(node)
         return node
+
+    def make(
+        self, node_class: type[AnyGeoOrbitNode], namespace: str, overrides: Mapping[str, object]
+    ) -> AnyGeoOrbitNode:
+        """A new node of this composition.
+
+        Raises:
+            GeoOrbitError: As the node's constructor.
+        """
+        if self._quiet:
+            set_logger_level(f"{namespace}.{node_class.name}", LoggingSeverity.WARN)
+        return self.add(node_class(context=self.context, namespace=namespace, overrides=overrides))
 
     def spin(self, timeout_s: float = STEP_S) -> None:
         """Do what is due, or wait for it; errors of callbacks come out here."""

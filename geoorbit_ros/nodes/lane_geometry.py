@@ -61,7 +61,7 @@ class LaneGeometryNode(GeoOrbitNode[LaneGeometryParameters]):
         """Start with an empty map."""
         self.datum: Datum | None = None
         self._latest: LaneMap | None = None
-        self.frames = 0
+        self.frames = self.lane_maps = 0
         self._restart()
         self._lanes = LanePublisher(
             self, self.p.frame_id, self.p.estimator, tentative=self.p.publish_tentative
@@ -111,6 +111,7 @@ class LaneGeometryNode(GeoOrbitNode[LaneGeometryParameters]):
         self._latest = lane_map
         self._lanes.publish(lane_map, self.datum)
         self.diagnostics.published += 1
+        self.lane_maps += 1
         if self.datum is None:
             topic = self.resolve_topic_name("datum")
             self.diagnostics.warn(f"{topic}: nothing received, so lanes/geojson is not published")

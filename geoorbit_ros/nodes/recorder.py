@@ -53,7 +53,7 @@ class RecorderNode(GeoOrbitNode[RecorderParameters]):
         if not self._camera:
             place = f"node '{self.get_fully_qualified_name()}', parameter 'camera_id'"
             raise ParameterError(place, "nothing, in the root namespace", "the camera's name")
-        self._newest_ns = 0
+        self._newest_ns = self.lane_maps = 0
         self._database = TrajectoryDatabase(self.p.database)
         TableStream(self, "tracks", TRACK_DTYPE, self.p, self._on_frame, lambda: None)
         self._geojson_topic = self.resolve_topic_name("lanes/geojson")
@@ -74,6 +74,7 @@ class RecorderNode(GeoOrbitNode[RecorderParameters]):
         try:
             text = decode_string(cdr, self._geojson_topic)
             self._database.append_lanes(self._camera, self._map_stamp_ns(text), text)
+            self.lane_maps += 1
         except GeoOrbitError as error:
             self.diagnostics.refuse(error)
 

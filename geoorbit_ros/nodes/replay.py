@@ -5,16 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
 
-from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.node import Node
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from geoorbit_ros.core.errors import NoTrafficError
 from geoorbit_ros.nodes.bag_player import BagPlayerNode
-from geoorbit_ros.nodes.base import GeoOrbitNode
 from geoorbit_ros.nodes.composition import Composition
 from geoorbit_ros.nodes.homography import HomographyNode
 from geoorbit_ros.nodes.lane_geometry import LaneGeometryNode
@@ -26,8 +23,7 @@ STALL_TIMEOUT_S = 120.0
 """Longer than any single lane update takes."""
 WINDOW = 500
 """Frames under way at most: a tenth of what the middleware keeps for a reader."""
-
-AnyNode = TypeVar("AnyNode", bound=GeoOrbitNode[Any])
+LOSSLESS: dict[str, object] = {"reliability": "reliable", "queue_depth": 0}
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,38 +67,27 @@ def replay(request: ReplayRequest, on_frames: Callable[[int], None] = lambda _: 
     Raises:
         GeoOrbitError: Input that can't be used, or nodes that don't get on within the time limits.
     """
-    with Composition(request.domain_id) as nodes:
-        lanes = _add(
-            nodes,
-            request,
-            LaneGeometryNode,
-            estimator=request.estimator,
-            update_period_s=request.update_period_s,
-        )
-        readers: list[GeoOrbitNode[Any]] = [lanes]
+    topic, (width, height) = f"/{request.camera_id}/tracks_px", request.image_size
+    method = {"estimator": request.estimator, "update_period_s": request.update_period_s}
+    camera = {
+        "calibration_file": str(request.calibration),
+        "image_width": width,
+        "image_height": height,
+        "datum_latitude_deg": request.datum[0],
+        "datum_longitude_deg": request.datum[1],
+    }
+    recording = {"bag": str(request.bag), "topics": topic, "rate": request.rate}
+    with Composition(request.domain_id, quiet=request.quiet) as nodes:
+        camera_id = request.camera_id
+        lanes = nodes.make(LaneGeometryNode, camera_id, LOSSLESS | method)
+        readers: list[LaneGeometryNode | RecorderNode] = [lanes]
         if request.database:
-            readers.append(_add(nodes, request, RecorderNode, database=str(request.database)))
-        homography = _add(
-            nodes,
-            request,
-            HomographyNode,
-            calibration_file=str(request.calibration),
-            image_width=request.image_size[0],
-            image_height=request.image_size[1],
-            datum_latitude_deg=request.datum[0],
-            datum_longitude_deg=request.datum[1],
-        )
-        topic = f"/{request.camera_id}/tracks_px"
-        player = _add(
-            nodes,
-            request,
-            BagPlayerNode,
-            bag=str(request.bag),
-            topics=topic,
-            rate=request.rate,
-            start_paused=True,
-        )
-        asker = nodes.add(Node("replay", context=nodes.context, namespace=request.camera_id))
+            database = {"database": str(request.database)}
+            readers.append(nodes.make(RecorderNode, camera_id, LOSSLESS | database))
+        homography = nodes.make(HomographyNode, camera_id, LOSSLESS | camera)
+        held = LOSSLESS | recording | {"start_paused": True}
+        player = nodes.make(BagPlayerNode, camera_id, held)
+        asker = nodes.add(Node("replay", context=nodes.context, namespace=camera_id))
         update = asker.create_client(Trigger, "lane_geometry/update")
         maps: list[String] = []
         asker.create_subscription(String, "lanes/geojson", maps.append, LATCHED)
@@ -136,21 +121,9 @@ def replay(request: ReplayRequest, on_frames: Callable[[int], None] = lambda _: 
         if not answer.result().success:
             raise NoTrafficError(str(request.bag), answer.result().message, "frames")
         count = lanes.diagnostics.published
-        nodes.wait(lambda: len(maps) == count, START_TIMEOUT_S, f"{count} maps on lanes/geojson")
-        return str(maps[-1].data)
-
-
-def _add(
-    nodes: Composition, request: ReplayRequest, node_class: type[AnyNode], **overrides: object
-) -> AnyNode:
-    """One node of the graph, lossless."""
-    if request.quiet:
-        name = f"{request.camera_id}.{node_class.name}"
-        set_logger_level(name, LoggingSeverity.WARN)
-    return nodes.add(
-        node_class(
-            context=nodes.context,
-            namespace=request.camera_id,
-            overrides={"reliability": "reliable", "queue_depth": 0} | overrides,
+        nodes.wait(
+            lambda: len(maps) == count == min(reader.lane_maps for reader in readers),
+            START_TIMEOUT_S,
+            f"{count} maps on lanes/geojson",
         )
-    )
+        return str(maps[-1].data)
