@@ -19,12 +19,13 @@ from geoorbit_ros.lanes.corridors import Corridor, find_corridors
 from geoorbit_ros.lanes.evidence import Evidence
 from geoorbit_ros.lanes.identity import LaneRegistry
 from geoorbit_ros.lanes.lane_ends import straighten_ends
-from geoorbit_ros.lanes.members import find_members
+from geoorbit_ros.lanes.members import find_members, keeping_lane
 from geoorbit_ros.lanes.parameters import LaneParameters
 from geoorbit_ros.lanes.passes import Passes
 from geoorbit_ros.lanes.profiles import Profiles, lateral_profiles
 from geoorbit_ros.lanes.ridges import (
     Density,
+    Ridge,
     find_ridges,
     hand_over,
     lane_directions,
@@ -79,9 +80,9 @@ class CurvilinearEstimator:
             grids.append(profiles)
             if not profiles.seen.any():
                 continue
-            large = passes.large[profiles.passes]
-            density = lateral_density(profiles, blur_m, np.where(large, LARGE_WEIGHT, 1.0))
-            found = _candidates(k, corridor, profiles, density, large, prominence)
+            found, density = _candidates(
+                k, corridor, profiles, passes.large[profiles.passes], blur_m, prominence
+            )
             candidates.extend(found)
             if found:
                 sections.append(_cross_section(corridor, profiles, density, found))
@@ -108,15 +109,17 @@ def _candidates(
     number: int,
     corridor: Corridor,
     profiles: Profiles,
-    density: Density,
     large: NDArray[np.bool_],
+    blur_m: float,
     prominence: float,
-) -> list[_Candidate]:
-    """The candidate lanes of one corridor, from left to right."""
+) -> tuple[list[_Candidate], Density]:
+    """The candidate lanes of one corridor, from left to right, and the density they crest in."""
+    trust = np.where(large, LARGE_WEIGHT, 1.0)[:, None] * np.ones(profiles.seen.shape)
+    density, ridges, directions = _crests(profiles, trust, blur_m, prominence)
+    # Once more, without the vehicles that are between lanes: they blur what they cross.
+    trust *= keeping_lane(profiles, ridges, directions, corridor.scale_m)
+    density, ridges, directions = _crests(profiles, trust, blur_m, prominence)
     found = []
-    crests = find_ridges(density, MIN_HEIGHT, prominence)
-    ridges = separate(hand_over(crests, len(profiles.station_m)))
-    directions = lane_directions(ridges, profiles.step_m)
     for ridge, direction in zip(ridges, directions, strict=True):
         members = find_members(profiles, ridge, direction, corridor.scale_m)
         line = fit_centerline(profiles, ridge, members, large, 2.0 * corridor.scale_m)
@@ -131,7 +134,17 @@ def _candidates(
             found.append(_Candidate(number, line, members.vehicles, evidence))
     lines = straighten_ends([c.line for c in found])
     found = [replace(c, line=line) for c, line in zip(found, lines, strict=True)]
-    return sorted(found, key=lambda c: -float(np.mean(c.line.d)))
+    return sorted(found, key=lambda c: -float(np.mean(c.line.d))), density
+
+
+def _crests(
+    profiles: Profiles, trust: NDArray[np.float64], blur_m: float, prominence: float
+) -> tuple[Density, list[Ridge], list[NDArray[np.float64]]]:
+    """Density, the crests in it that can be lanes, and the direction of driving along each."""
+    density = lateral_density(profiles, blur_m, trust)
+    traced = find_ridges(density, MIN_HEIGHT, prominence)
+    ridges = separate(hand_over(traced, len(profiles.station_m)))
+    return density, ridges, lane_directions(ridges, profiles.step_m)
 
 
 def _shapes(

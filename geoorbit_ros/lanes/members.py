@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,6 +71,33 @@ def find_members(
     return Members(
         inside, vehicles, evidence, mass / max(mass + stray, 1e-9), _presence(profiles, ridge)
     )
+
+
+def keeping_lane(
+    profiles: Profiles,
+    ridges: Sequence[Ridge],
+    directions: Sequence[NDArray[np.float64]],
+    scale_m: float,
+) -> NDArray[np.float64]:
+    """(V, J) weight in (0, 1]: small where a vehicle moves across the lane nearest to it.
+
+    Args:
+        profiles: All vehicles of the corridor.
+        ridges: Candidate lanes.
+        directions: Slope of driving along each of them.
+        scale_m: The corridor's scale.
+    """
+    shape = profiles.seen.shape
+    nearest = np.full(shape, BAND_M)
+    direction = profiles.slope.copy()
+    for ridge, slope in zip(ridges, directions, strict=True):
+        cut = slice(ridge.first, ridge.first + len(ridge.d))
+        offset = np.abs(profiles.d[:, cut] - ridge.d)
+        closer = offset < nearest[:, cut]
+        nearest[:, cut] = np.where(closer, offset, nearest[:, cut])
+        direction[:, cut] = np.where(closer, slope, direction[:, cut])
+    across = (profiles.slope - direction) / (0.6 * SIDEWAYS_M / scale_m)
+    return np.asarray(1.0 / (1.0 + across**4))
 
 
 def _presence(profiles: Profiles, ridge: Ridge) -> float:

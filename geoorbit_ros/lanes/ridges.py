@@ -62,7 +62,7 @@ def lateral_density(profiles: Profiles, blur_m: float, trust: NDArray[np.float64
     Args:
         profiles: Lateral positions.
         blur_m: 1-sigma of the lateral kernel.
-        trust: (V,) factor on each vehicle's weight.
+        trust: (V, J) factor on each vehicle's weight at each station.
     """
     row, j = np.nonzero(profiles.seen)
     d = profiles.d[row, j]
@@ -73,7 +73,7 @@ def lateral_density(profiles: Profiles, blur_m: float, trust: NDArray[np.float64
     at = (d - low) / BIN_M
     left = np.floor(at).astype(np.int64)
     share = at - left
-    weight = (profiles.weight * trust)[row]
+    weight = profiles.weight[row] * trust[row, j]
     shape = len(profiles.station_m), bins
     cell = j * bins + left
     grid = np.bincount(cell, weight * (1.0 - share), shape[0] * bins)
