@@ -31,6 +31,8 @@ ends of boxes pile up within 4 px of the right border and 9 px of the bottom one
 detectors round to their stride and don't reach the last pixels."""
 MAX_SIGMA_M = 10.0
 """Farther out a vehicle's position along the road is uncertain by two of its lengths."""
+SIZE_PERIOD_S = 0.099
+"""Boxes of the next few frames have the same errors and would say nothing new about sizes."""
 PATH_HEIGHT_M = 0.8
 """Half the height of a car."""
 
@@ -113,6 +115,7 @@ class BoxProjector:
         self._sizes = SizeFilter(self._slots.capacity)
         self._stamp_ns: int | None = None
         self._epoch_ns: int | None = None
+        self._sized_s = 0.0
 
     def project(self, stamp_ns: int, rows: NDArray[np.void]) -> NDArray[np.void]:
         """Project one frame; see `ground.GroundProjector`.
@@ -133,22 +136,24 @@ class BoxProjector:
             centre, solid = _foot(centre, side), np.zeros_like(solid)
             side = np.zeros_like(side)
 
-        slot, dt, fresh = self._slots.enter(stamp_ns, rows["track_id"])
+        time_s = (stamp_ns - self._epoch_ns) * 1e-9
+        slot, fresh = self._slots.enter(stamp_ns, rows["track_id"])
         self._motion.reserve(self._slots.capacity)
         self._sizes.reserve(self._slots.capacity)
-        size, size_cov = self._sizes.enter(slot, fresh, rows["class_id"])
+        size, size_cov = self._sizes.enter(slot, fresh, time_s, rows["class_id"])
         heading = self._motion.enter(slot, fresh)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             fit = fit_vehicles(self._projection, centre, side, heading, size, size_cov, solid)
-        usable = solid & observed & ~truncated & fit.good & ~np.isnan(heading)
-        self._sizes.update(slot, rows, dt, side, fit.side_px, fit.side_slope, usable)
+        if time_s - self._sized_s >= SIZE_PERIOD_S:
+            self._sized_s = time_s
+            usable = solid & observed & ~truncated & fit.good & ~np.isnan(heading)
+            self._sizes.update(slot, time_s, rows, side, fit.side_px, fit.side_slope, usable)
         total = fit.covariance + self.homography.fit_covariance(centre)
         if self.pose is None:
             total[:, (0, 1), (0, 1)] += (size[:, 1:2] / 2) ** 2
         sigma, noise = worst_sigma(total), worst_sigma(fit.noise)
         # A vehicle of unknown size moves all the same, and its size is learnt with its heading:
         # only the noise of the box decides whether a position is any use for the motion.
-        time_s = (stamp_ns - self._epoch_ns) * 1e-9
         observed &= noise <= self._max_sigma_m
         path, scale = self._path(fit.first_xy, size, solid)
         velocity, heading = self._motion.update(slot, time_s, path, noise, observed)

@@ -85,9 +85,10 @@ class Homography:
         uv = np.asarray(pixel, dtype=np.float64).reshape(-1, 2)
         ground = transfer(self.matrix, uv)
         w = uv @ self.matrix[2, :2] + self.matrix[2, 2]
-        change = uv @ np.swapaxes(self.spread[..., :2], 1, 2) + self.spread[:, None, :, 2]
-        shift = (change[..., :2] - ground * change[..., 2:]) / w[:, None]
-        return np.asarray(np.einsum("kni,knj->nij", shift, shift))
+        coefficients = self.spread.reshape(24, 3)
+        change = (uv @ coefficients[:, :2].T + coefficients[:, 2]).reshape(-1, 8, 3)
+        shift = (change[..., :2] - ground[:, None] * change[..., 2:]) / w[:, None, None]
+        return np.asarray(shift.transpose(0, 2, 1) @ shift)
 
     def covariance(self, pixel: ArrayLike, sigma_px: ArrayLike) -> NDArray[np.float64]:
         """Covariance (N, 2, 2) in m^2 of the ground position of pixels (N, 2).

@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 FORGET_NS = 10_000_000_000
 """An id unseen for 10 s of data time is a new vehicle when it comes back."""
 SWEEP_NS = 1_000_000_000
+NO_IDENTITY = -(2**40)
+"""Keys from here downwards stand for detections without identity; no int32 id gets there."""
 
 
 class TrackSlots:
@@ -21,7 +23,7 @@ class TrackSlots:
         self._free = list(range(capacity - 1, -1, -1))
         self._last_ns = np.zeros(capacity, dtype=np.int64)
         self._sweep_ns: int | None = None
-        self._anonymous = 0
+        self._anonymous = NO_IDENTITY
 
     @property
     def capacity(self) -> int:
@@ -33,7 +35,7 @@ class TrackSlots:
 
     def enter(
         self, stamp_ns: int, track_id: NDArray[np.int32]
-    ) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.bool_]]:
+    ) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
         """Slots of the ids in one frame.
 
         Args:
@@ -41,23 +43,24 @@ class TrackSlots:
             track_id: (M,); negative ids are detections without identity, new every time.
 
         Returns:
-            slot (M,), seconds since the id was last seen (M,) with 0 for new ones, and whether the
-            id is new (M,), so that the caller starts its state afresh.
+            slot (M,) and whether the id is new (M,), so that the caller starts its state afresh.
         """
         self._sweep(stamp_ns)
-        slot = np.empty(len(track_id), dtype=np.intp)
-        fresh = np.zeros(len(track_id), dtype=bool)
-        for k, identity in enumerate(track_id.tolist()):
-            known = self._slot.get(identity) if identity >= 0 else None
-            if known is None:
-                known = self._new(identity)
-                self._last_ns[known] = stamp_ns
-                fresh[k] = True
-            slot[k] = known
-        unseen_ns = stamp_ns - self._last_ns[slot]
-        fresh |= unseen_ns > FORGET_NS
+        ids = track_id.tolist()
+        known = [self._slot.get(identity, -1) for identity in ids]
+        fresh = np.zeros(len(ids), dtype=bool)
+        if -1 in known:
+            for k, identity in enumerate(ids):
+                if identity < 0 or identity not in self._slot:
+                    known[k] = self._new(identity)
+                    self._last_ns[known[k]] = stamp_ns
+                    fresh[k] = True
+                else:
+                    known[k] = self._slot[identity]
+        slot = np.array(known, dtype=np.intp)
+        fresh |= stamp_ns - self._last_ns[slot] > FORGET_NS
         self._last_ns[slot] = stamp_ns
-        return slot, np.where(fresh, 0.0, unseen_ns * 1e-9), fresh
+        return slot, fresh
 
     def _new(self, track_id: int) -> int:
         if track_id < 0:

@@ -97,8 +97,9 @@ def fit_vehicles(
     edge, with_position, with_size = edge_slopes(projection, uv, depth, axes, size_m)
 
     half = side / 2
-    white = np.tile(EDGE_SIGMA_PX**2 + (EDGE_SIGMA_RATIO * side) ** 2, 2)
-    variance = white + (SHAPE_SIGMA_RATIO * np.tile(side, 2)) ** 2
+    square = np.concatenate((side, side), axis=1) ** 2
+    white = EDGE_SIGMA_PX**2 + EDGE_SIGMA_RATIO**2 * square
+    variance = white + SHAPE_SIGMA_RATIO**2 * square
     spread = with_size @ size_cov @ with_size.transpose(0, 2, 1)
     spread.reshape(-1, 16)[:, ::5] += variance
     spread[~shaped] += SIDES

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 CAR, MOTORCYCLE, BUS, TRUCK = range(4)
-GROUP = {1: MOTORCYCLE, 3: MOTORCYCLE, 5: BUS, 7: TRUCK}
+GROUP = np.full(256, CAR)
+GROUP[[1, 3, 5, 7]] = MOTORCYCLE, MOTORCYCLE, BUS, TRUCK
 """COCO class to size group; every other class is taken for a car."""
 
 MEAN_M = np.array(
@@ -67,7 +68,8 @@ DIM, COV, CLASS, INFO, VECTOR = (
     slice(16, 25),
     slice(25, 28),
 )
-COLUMNS = 28
+TIME = 28
+COLUMNS = 29
 
 
 class SizeFilter:
@@ -90,13 +92,18 @@ class SizeFilter:
         self._state = grown
 
     def enter(
-        self, slot: NDArray[np.intp], fresh: NDArray[np.bool_], class_id: NDArray[np.int32]
+        self,
+        slot: NDArray[np.intp],
+        fresh: NDArray[np.bool_],
+        time_s: float,
+        class_id: NDArray[np.int32],
     ) -> tuple[Array, Array]:
         """Size (M, 3), metres, and its covariance (M, 3, 3), as known before this frame."""
         if fresh.any():
-            group = np.array([GROUP.get(c, CAR) for c in class_id[fresh].tolist()], dtype=np.intp)
+            group = GROUP[class_id[fresh] & 255]
             new = np.zeros((len(group), COLUMNS))
             new[:, DIM] = MEAN_M[group]
+            new[:, TIME] = time_s
             new[:, COV] = COVARIANCE[group].reshape(-1, 9)
             self._state[slot[fresh]] = new
         s = self._state[slot]
@@ -105,8 +112,8 @@ class SizeFilter:
     def update(
         self,
         slot: NDArray[np.intp],
+        time_s: float,
         rows: NDArray[np.void],
-        dt: Array,
         side_px: Array,
         predicted_px: Array,
         slope: Array,
@@ -116,21 +123,23 @@ class SizeFilter:
 
         Args:
             slot: (M,) state row of each box.
+            time_s: Time of the frame, from any epoch.
             rows: (M,) `PIXEL_TRACK_DTYPE`, for class and score.
-            dt: (M,) seconds since the slot's last box.
             side_px: (M, 2) width and height of the observed box.
             predicted_px: (M, 2) the same for the vehicle as `enter` returned it.
             slope: (M, 2, 3) d(side) / d(length, width, height), pixels per metre.
             usable: (M,) False where the box says nothing about the size.
         """
         s = self._state[slot]
-        group = np.array([GROUP.get(c, CAR) for c in rows["class_id"].tolist()], dtype=np.intp)
-        s[np.arange(len(s)), CLASS.start + group] += np.maximum(rows["score"], 1e-3)
+        vote = CLASS.start + GROUP[rows["class_id"] & 255]
+        s[np.arange(len(s)), vote] += np.maximum(rows["score"], 1e-3)
+        elapsed = time_s - s[:, TIME]
+        s[:, TIME] = time_s
 
         variance = BOX_SIGMA_PX**2 + (BOX_SIGMA_RATIO * side_px) ** 2
         residual = side_px - predicted_px
         surprise = np.sqrt(residual**2 / variance)
-        weight = np.where(usable, np.minimum(1.0, dt / CORRELATION_S), 0.0)[:, None]
+        weight = np.where(usable, np.minimum(1.0, elapsed / CORRELATION_S), 0.0)[:, None]
         weight = weight * np.minimum(1.0, HUBER / np.maximum(surprise, 1e-9)) / variance
         weighted = slope * weight[:, :, None]
         s[:, INFO] += (np.swapaxes(slope, 1, 2) @ weighted).reshape(-1, 9)
