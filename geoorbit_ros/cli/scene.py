@@ -37,9 +37,9 @@ def run(
 ) -> None:
     """Let traffic pass an imagined camera, and write what it reports and what is true.
 
-    Into the folder go bag/ and tracks.csv (boxes with the faults of real detectors), calibration.csv,
-    truth.geojson (the lanes that the camera could see), clean_tracks.csv and clean_calibration.csv
-    (the same traffic without any fault).
+    Into the folder go bag/ and tracks.csv (boxes with the faults of real detectors),
+    calibration.csv, truth.geojson (the lanes that the camera could see), and clean_tracks.csv with
+    clean_calibration.csv (the same traffic without any fault).
 
     The same scene, duration and seed give the same files.
 
