@@ -97,12 +97,12 @@ def simulate(
         ideal_s = k / scene.camera.fps
         jitter = scene.detector.time_jitter_s * float(np.clip(random.standard_normal(), -3.0, 3.0))
         time_s = max(ideal_s + min(jitter, 0.3 / scene.camera.fps), 0.0)
-        view, lane = _view(record, wandered, time_s)
+        view, lane, velocity = _view(record, wandered, time_s)
         rows, vehicles = model.detect(time_s, view)
         counter.count(vehicles, view, lane)
         stamps.append(START_NS + round(time_s * 1e9))
         noisy.append(rows)
-        clean.append(_clean_rows(view, vehicles))
+        clean.append(_clean_rows(view, velocity, vehicles))
         if k % 50 == 0:
             report("camera", k / frame_count)
     report("camera", 1.0)
@@ -154,8 +154,8 @@ def _wander(record: TrafficRecord, scene: Scene, seed: int) -> NDArray[np.float6
 
 def _view(
     record: TrafficRecord, xy: NDArray[np.float64], time_s: float
-) -> tuple[View, NDArray[np.int64]]:
-    """Vehicles at `time_s`, between two steps, and the lane number of each."""
+) -> tuple[View, NDArray[np.int64], NDArray[np.float64]]:
+    """Vehicles at `time_s`, between two steps; lane number (N,) and velocity (N, 2) of each."""
     at = time_s / STEP_S
     before = int(np.floor(at))
     a = slice(*np.searchsorted(record.step, [before, before + 1]))
@@ -173,14 +173,17 @@ def _view(
         record.vehicle_sizes[common],
         classes[common],
     )
-    return view, record.lane[a][ia]
+    return view, record.lane[a][ia], (end - start) / STEP_S
 
 
-def _clean_rows(view: View, seen: NDArray[np.int64]) -> NDArray[np.void]:
+def _clean_rows(
+    view: View, velocity: NDArray[np.float64], seen: NDArray[np.int64]
+) -> NDArray[np.void]:
     """True ground points of the vehicles that the camera saw."""
     keep = np.isin(view.vehicle, seen)
     rows = np.zeros(int(keep.sum()), TRACK_DTYPE)
     rows["x"], rows["y"] = view.xy[keep].T
+    rows["vx"], rows["vy"] = velocity[keep].T
     rows["heading"] = view.heading[keep]
     rows["length"], rows["width"] = view.size[keep, 0], view.size[keep, 1]
     rows["score"], rows["sigma"] = 1.0, CLEAN_SIGMA_M
