@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_val
 from geoorbit_ros.scenes.scene_errors import WrongValue
 
 Positive = Annotated[float, Field(gt=0.0)]
-Length = Annotated[float, Field(gt=0.0, le=5000.0)]
+Length = Annotated[float, Field(ge=1.0, le=5000.0)]
 
 
 class StrictModel(BaseModel):
@@ -44,6 +44,13 @@ class Bend(StrictModel):
 
     radius_m: Length
     turn_deg: float = Field(ge=-270.0, le=270.0)
+
+    @model_validator(mode="after")
+    def _long_enough(self) -> Bend:
+        if self.length_m() < 1.0:
+            found = f"{self.turn_deg:g}, an arc of {self.length_m():.3f} m"
+            raise WrongValue(("turn_deg",), found, "at least 1 m of arc")
+        return self
 
     def length_m(self, left_m: float = 0.0) -> float:
         """Length of the line `left_m` to the left, shorter inside the bend."""
