@@ -32,7 +32,7 @@ class EstimatorName(StrEnum):
 TracksOption = Annotated[
     Path | None,
     typer.Option(
-        "--tracks", help="Tracked boxes: a CSV with id,time,frame_num,class,conf,x,y,w,h."
+        "--tracks", help="Tracked boxes: a CSV with id, time, frame_num, class, conf, x, y, w, h."
     ),
 ]
 BagOption = Annotated[
@@ -41,7 +41,7 @@ BagOption = Annotated[
 CalibrationOption = Annotated[
     Path,
     typer.Option(
-        "--calibration", help="Control points: a CSV with pixel_x,pixel_y,latitude,longitude."
+        "--calibration", help="Control points: a CSV with pixel_x, pixel_y, latitude, longitude."
     ),
 ]
 CameraIdOption = Annotated[
@@ -49,7 +49,9 @@ CameraIdOption = Annotated[
 ]
 EstimatorOption = Annotated[
     EstimatorName,
-    typer.Option("--estimator", help="curvilinear for use, geolane for the paper's baseline."),
+    typer.Option(
+        "--estimator", metavar="NAME", help="curvilinear for use, geolane for the paper's baseline."
+    ),
 ]
 ImageSizeOption = Annotated[
     str, typer.Option("--image-size", metavar="WxH", help="Size of the camera's image in pixels.")
@@ -64,7 +66,12 @@ DatumOption = Annotated[
 ]
 UpdatePeriodOption = Annotated[
     float,
-    typer.Option("--update-period-s", min=0.1, help="Data time between two updates of the map."),
+    typer.Option(
+        "--update-period-s",
+        min=0.1,
+        metavar="SECONDS",
+        help="Data time between two updates of the map.",
+    ),
 ]
 
 

@@ -8,26 +8,29 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from importlib import import_module
-from importlib.util import find_spec
+from inspect import getdoc
 from typing import Annotated
 
 import typer
 
 from geoorbit_ros import __version__
+from geoorbit_ros.cli import bag, database, scene
+from geoorbit_ros.cli.demo import demo
+from geoorbit_ros.cli.lanes import lanes
+from geoorbit_ros.cli.replay import replay
+from geoorbit_ros.cli.report import report
+from geoorbit_ros.cli.score import score
 from geoorbit_ros.core.errors import GeoOrbitError
 
 EXIT_BAD_INPUT = 2
 
-_HELP = """
-Live lane maps from roadside cameras.
-
-A camera on a pole, the tracks of the vehicles that drive by, and a few points whose pixel and
-position you know: enough to find every lane, its width and its direction of travel.
-
-Example: [bold]geoorbit demo[/bold] shows all of it; [bold]geoorbit lanes --help[/bold] explains
-one command.
-"""
+_HELP = (
+    "Live lane maps from roadside cameras.\n\n"
+    "A camera on a pole, the tracks of the vehicles that drive by, and a few points whose pixel "
+    "and position you know: enough to find every lane, its width and its direction of travel.\n\n"
+    "Example: [bold]geoorbit demo[/bold] shows all of it; [bold]geoorbit lanes --help[/bold] "
+    "explains one command."
+)
 
 app = typer.Typer(
     name="geoorbit",
@@ -57,16 +60,30 @@ def _options(
     """Options before the command."""
 
 
-def _register() -> None:
-    for name in ("demo", "lanes", "replay", "score", "report"):
-        if find_spec(f"geoorbit_ros.cli.{name}"):
-            app.command(name)(getattr(import_module(f"geoorbit_ros.cli.{name}"), name))
-    for name, module in (("scene", "scene"), ("bag", "bag"), ("db", "database")):
-        if find_spec(f"geoorbit_ros.cli.{module}"):
-            app.add_typer(import_module(f"geoorbit_ros.cli.{module}").app, name=name)
+for _name, _command in (
+    ("demo", demo),
+    ("lanes", lanes),
+    ("replay", replay),
+    ("score", score),
+    ("report", report),
+):
+    app.command(_name)(_command)
+app.add_typer(scene.app, name="scene")
+app.add_typer(bag.app, name="bag")
+app.add_typer(database.app, name="db")
 
 
-_register()
+def _reflow(commands: typer.Typer) -> None:
+    """Let the terminal break the lines of help texts: typer keeps a docstring's own breaks."""
+    for command in commands.registered_commands:
+        text = command.help or getdoc(command.callback) or ""
+        command.help = "\n\n".join(" ".join(p.split()) for p in text.split("\n\n"))
+    for group in commands.registered_groups:
+        if group.typer_instance:
+            _reflow(group.typer_instance)
+
+
+_reflow(app)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
