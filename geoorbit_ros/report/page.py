@@ -155,11 +155,12 @@ def _histograms(content: ReportInput) -> str:
 def _calibration(content: ReportInput) -> str:
     residual = content.homography.residual
     used = residual.inlier
+    error_m = residual.ground_error_m[used]
     sentence = (
         f"{int(used.sum())} of {count(len(used), 'control point')} used. Their error is "
         f"{number(float(np.median(residual.pixel_error[used])))} px in the image and "
-        f"{number(float(np.median(residual.ground_error_m[used])), 3)} m on the road in the middle, "
-        f"{number(float(residual.ground_error_m[used].max()), 3)} m at worst."
+        f"{number(float(np.median(error_m)), 3)} m on the road in the middle, "
+        f"{number(float(error_m.max()), 3)} m at worst."
     )
     return _section(
         "Calibration",
