@@ -59,9 +59,9 @@ def fit_homography(
     """
     check_points(points)
     order = np.lexsort(points.pixel.T)
-    to_unit_ground, to_unit_pixel = normalising(points.local_m), normalising(points.pixel)
-    ground = transfer(to_unit_ground, points.local_m[order])
-    pixel = transfer(to_unit_pixel, points.pixel[order])
+    local_m, pixel = points.local_m[order], points.pixel[order]
+    to_unit_ground, to_unit_pixel = normalising(local_m), normalising(pixel)
+    ground, pixel = transfer(to_unit_ground, local_m), transfer(to_unit_pixel, pixel)
     noise = (ground_sigma_m * to_unit_ground[0, 0], pixel_sigma * to_unit_pixel[0, 0])
 
     start = best_subset(ground, pixel, *noise)
@@ -117,11 +117,29 @@ def _refine(
                 f"{np.median(error) / normalising(points.pixel)[0, 0]:.0f} px in the middle",
                 "rows whose pixel and position belong together, on a flat road",
             )
+        square = _square_with_fit(matrix, ground, pixel, inlier, noise)
         chosen = square <= OUTLIER_SQUARE * max(1.0, median)
         if np.array_equal(chosen, inlier) or chosen.sum() < len(ground) // 2 + 1:
             break
         inlier = chosen
     return matrix, inlier
+
+
+def _square_with_fit(
+    matrix: Matrix,
+    ground: Matrix,
+    pixel: Matrix,
+    inlier: NDArray[np.bool_],
+    noise: tuple[float, float],
+) -> Matrix:
+    """Squared errors (N,) in their own sigma, which for points left out has that of the fit too."""
+    whiten = _whitener(matrix, ground, noise)
+    design = _design(matrix, ground, whiten).reshape(-1, 2, 8)
+    used = design[inlier].reshape(-1, 8)
+    leverage = design @ np.linalg.pinv(used.T @ used, hermitian=True) @ design.transpose(0, 2, 1)
+    covariance = np.eye(2) + leverage * ~inlier[:, None, None]
+    error = whiten @ (pixel - transfer(matrix, ground))[:, :, None]
+    return np.asarray((error.transpose(0, 2, 1) @ np.linalg.inv(covariance) @ error)[:, 0, 0])
 
 
 def _scaled(matrix: Matrix, points: ControlPoints) -> Matrix:
