@@ -99,10 +99,8 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
         if all(math.isnan(value) for value in given):
             return None
         if any(math.isnan(value) for value in given):
-            place = (
-                f"node '{self.get_fully_qualified_name()}', datum_latitude_deg and …longitude_deg"
-            )
-            raise ParameterError(place, "only one of them", "both or neither")
+            place = f"node '{self.get_fully_qualified_name()}', parameters datum_…_deg"
+            raise ParameterError(place, "one of them", "both latitude and longitude, or neither")
         return Datum(*given)
 
     def _on_frame(self, stamp_ns: int, rows: NDArray[np.void]) -> None:

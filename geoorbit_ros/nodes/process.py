@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -38,6 +39,10 @@ def run_node(make: Callable[[], GeoOrbitNode[Any]], args: Sequence[str] | None =
         when something the user gave can't be used.
     """
     node = None
+    # rclpy's own handler ends the context, then calls this one. Python's would raise
+    # KeyboardInterrupt, also inside the clean-up of the C++ executor, which then aborts: a Ctrl-C
+    # under `ros2 launch` reaches a node twice.
+    signal.signal(signal.SIGINT, lambda *_: None)
     try:
         rclpy.init(args=None if args is None else list(args))
         node = make()
@@ -55,4 +60,6 @@ def run_node(make: Callable[[], GeoOrbitNode[Any]], args: Sequence[str] | None =
             node.close()
             node.destroy_node()
         rclpy.try_shutdown()
+        # While it ends, Python puts back the default action, which is to kill.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
     return 0

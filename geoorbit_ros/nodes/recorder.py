@@ -16,7 +16,7 @@ from geoorbit_ros.conversions import decode_string
 from geoorbit_ros.core.errors import GeoOrbitError, MessageError, ParameterError
 from geoorbit_ros.core.tables import TRACK_DTYPE
 from geoorbit_ros.nodes.base import GeoOrbitNode
-from geoorbit_ros.nodes.latched import LATCHED
+from geoorbit_ros.nodes.latched import LATCHED_ALL
 from geoorbit_ros.nodes.process import run_node
 from geoorbit_ros.nodes.table_stream import TableStream
 from geoorbit_ros.storage.database import TrajectoryDatabase
@@ -57,7 +57,7 @@ class RecorderNode(GeoOrbitNode[RecorderParameters]):
         self._database = TrajectoryDatabase(self.p.database)
         TableStream(self, "tracks", TRACK_DTYPE, self.p, self._on_frame, lambda: None)
         self._geojson_topic = self.resolve_topic_name("lanes/geojson")
-        self.create_subscription(String, "lanes/geojson", self._on_lanes, LATCHED, raw=True)
+        self.create_subscription(String, "lanes/geojson", self._on_lanes, LATCHED_ALL, raw=True)
         self.create_timer(
             FLUSH_PERIOD_S, self._maintain, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )

@@ -15,7 +15,7 @@ from geoorbit_ros.nodes.bag_player import BagPlayerNode
 from geoorbit_ros.nodes.composition import Composition
 from geoorbit_ros.nodes.homography import HomographyNode
 from geoorbit_ros.nodes.lane_geometry import LaneGeometryNode
-from geoorbit_ros.nodes.latched import LATCHED
+from geoorbit_ros.nodes.latched import LATCHED_ALL
 from geoorbit_ros.nodes.recorder import RecorderNode
 
 START_TIMEOUT_S = 20.0
@@ -90,7 +90,7 @@ def replay(request: ReplayRequest, on_frames: Callable[[int], None] = lambda _: 
         asker = nodes.add(Node("replay", context=nodes.context, namespace=camera_id))
         update = asker.create_client(Trigger, "lane_geometry/update")
         maps: list[String] = []
-        asker.create_subscription(String, "lanes/geojson", maps.append, LATCHED)
+        asker.create_subscription(String, "lanes/geojson", maps.append, LATCHED_ALL)
 
         def matched() -> bool:
             return (

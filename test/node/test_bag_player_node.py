@@ -1,0 +1,136 @@
+"""The bag player: every message as recorded, at its time, whatever the speed."""
+
+import shutil
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from probe import KEEP_ALL, Probe
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import UInt64
+from std_srvs.srv import SetBool
+
+from geoorbit_ros.core.errors import GeoOrbitError
+from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE
+from geoorbit_ros.nodes.bag_player import CLOCK_QOS, BagPlayerNode
+from geoorbit_ros.storage.bag_reader import bag_messages
+
+LOSSLESS = {"queue_depth": 0, "rate": 0.0}
+
+
+def start(nodes, camera, **overrides) -> BagPlayerNode:
+    return nodes.make(BagPlayerNode, "", LOSSLESS | {"bag": str(camera.bag)} | overrides)
+
+
+def listen_raw(probe, topic: str) -> list[bytes]:
+    heard: list[bytes] = []
+    probe.node.create_subscription(PointCloud2, topic, heard.append, KEEP_ALL, raw=True)
+    return heard
+
+
+def test_every_message_arrives_as_recorded_and_in_order(nodes, camera):
+    probe = Probe(nodes)
+    heard = listen_raw(probe, "tracks_px")
+    finished = probe.listen("/bag_player/finished", UInt64)
+    node = start(nodes, camera)
+    probe.until(lambda: bool(finished) and len(heard) == len(camera.frames), "all messages")
+    assert heard == [message.cdr for message in bag_messages(camera.bag)]
+    assert finished[0].data == len(camera.frames)
+    assert node.done
+
+
+def test_the_clock_shows_the_recordings_time_and_never_runs_back(nodes, camera):
+    probe = Probe(nodes)
+    ticks: list[int] = []
+    probe.node.create_subscription(
+        Clock, "/clock", lambda m: ticks.append(m.clock.sec * 10**9 + m.clock.nanosec), CLOCK_QOS
+    )
+    heard = probe.listen_tables("tracks_px", PIXEL_TRACK_DTYPE)
+    start(nodes, camera, rate=50.0)
+    probe.until(lambda: len(heard) == len(camera.frames), "all messages")
+    last_ns = int(camera.frames.stamp_ns[-1])
+    probe.until(lambda: bool(ticks) and ticks[-1] == last_ns, "the last tick")
+    assert np.all(np.diff(ticks) >= 0)
+    assert ticks[0] >= camera.frames.stamp_ns[0]
+    assert len(set(ticks)) > 20, "time flows between messages"
+
+
+def test_time_passes_at_the_rate_asked_for(nodes, camera):
+    probe = Probe(nodes)
+    heard = listen_raw(probe, "tracks_px")
+    node = start(nodes, camera, rate=20.0)
+    probe.until(lambda: len(heard) > 0, "the first message")
+    begin = time.monotonic()
+    probe.until(lambda: node.done, "the end")
+    recorded_s = (camera.frames.stamp_ns[-1] - camera.frames.stamp_ns[0]) / 1e9
+    assert time.monotonic() - begin >= recorded_s / 20.0 - 0.1, "never faster than asked"
+
+
+def test_it_waits_for_subscribers_but_not_for_ever(nodes, camera):
+    node = start(nodes, camera, wait_timeout_s=0.5)
+    begin = time.monotonic()
+    nodes.wait(lambda: node.done, 20, "the end")
+    assert time.monotonic() - begin >= 0.5
+    assert node.diagnostics.published == len(camera.frames)
+
+
+def test_pause_holds_and_resume_goes_on_where_it_was(nodes, camera):
+    probe = Probe(nodes)
+    heard = listen_raw(probe, "tracks_px")
+    node = start(nodes, camera, start_paused=True)
+    assert probe.call("/bag_player/pause", SetBool, SetBool.Request(data=True)).message == "paused"
+    status = probe.status_of("/bag_player")
+    assert (status["paused"], status["published"], heard) == ("True", "0", [])
+    answer = probe.call("/bag_player/pause", SetBool, SetBool.Request(data=False))
+    assert answer.message == "playing"
+    probe.until(lambda: node.done and len(heard) == len(camera.frames), "all messages")
+
+
+def test_another_camera_name_an_offset_and_chosen_topics(nodes, camera):
+    probe = Probe(nodes, namespace="south")
+    heard = listen_raw(probe, "tracks_px")
+    node = start(nodes, camera, camera_id="south", start_offset_s=5.0, topics="/north/tracks_px")
+    probe.until(lambda: node.done, "the end")
+    left_out = int(np.searchsorted(camera.frames.stamp_ns, camera.frames.stamp_ns[0] + 5 * 10**9))
+    probe.until(lambda: len(heard) == len(camera.frames) - left_out, "the rest")
+
+
+def test_a_loop_begins_again(nodes, camera):
+    probe = Probe(nodes)
+    heard = listen_raw(probe, "tracks_px")
+    node = start(nodes, camera, loop=True)
+    probe.until(lambda: len(heard) > 2 * len(camera.frames), "the third round")
+    assert heard[: len(camera.frames)] == heard[len(camera.frames) : 2 * len(camera.frames)]
+    assert not node.done
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        ({"bag": "/nowhere"}, ("/nowhere",)),
+        ({"bag": ""}, ("/bag_player", "'bag'", "not empty")),
+        ({"rate": -1.0}, ("/bag_player", "'rate'", "-1.0", "0 to 1000")),
+        ({"start_offset_s": 1000.0}, ("no message to play",)),
+        ({"topics": "/other"}, ("no message to play",)),
+    ],
+)
+def test_a_bad_start_is_one_sentence(nodes, camera, overrides, words):
+    with pytest.raises(GeoOrbitError) as caught:
+        start(nodes, camera, **overrides)
+    assert "\n" not in str(caught.value)
+    assert all(word in str(caught.value) for word in words), str(caught.value)
+
+
+def test_a_bag_that_breaks_off_ends_in_a_sentence(nodes, camera, tmp_path: Path):
+    broken = tmp_path / "broken"
+    shutil.copytree(camera.bag, broken)
+    recording = next(broken.glob("*.mcap"))
+    recording.write_bytes(recording.read_bytes()[:-2000])
+    with pytest.raises(GeoOrbitError) as caught:
+        node = nodes.make(
+            BagPlayerNode, "", LOSSLESS | {"bag": str(broken), "wait_for_subscribers": 0}
+        )
+        nodes.wait(lambda: node.done, 20, "the end")
+    assert str(broken) in str(caught.value)
