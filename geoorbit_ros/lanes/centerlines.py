@@ -42,7 +42,7 @@ def fit_centerline(
     profiles: Profiles,
     ridge: Ridge,
     members: Members,
-    large: NDArray[np.bool_],
+    trust: NDArray[np.float64],
     stiffness_m: float,
 ) -> Centerline | None:
     """Random-effects fit d_v(s) = c(s) + b_v + noise.
@@ -54,7 +54,7 @@ def fit_centerline(
         profiles: Lateral positions.
         ridge: The candidate lane.
         members: Its vehicles.
-        large: (V,) bus or truck.
+        trust: (V, J) how well each vehicle shows its lane's middle at each station.
         stiffness_m: Length below which the lane's offset from the spine is not expected to bend.
 
     Returns:
@@ -64,8 +64,8 @@ def fit_centerline(
     mine = np.flatnonzero(members.inside.any(axis=1))
     if len(mine) == 0:
         return None
-    base = profiles.weight[mine] * np.where(large[mine], LARGE_WEIGHT, 1.0)
-    weight = members.inside[mine] * base[:, None]
+    weight = members.inside[mine] * profiles.weight[mine, None] * trust[mine, cut]
+    base = weight.max(axis=1)
     d = profiles.d[mine, cut]
     centre, offset = ridge.d.copy(), np.zeros(len(mine))
     for _ in range(ITERATIONS):
@@ -81,7 +81,7 @@ def fit_centerline(
         target = (robust * (d - offset[:, None])).sum(axis=0) / np.maximum(support, 1e-9)
         centre = _whittaker(target, support, stiffness_m / profiles.step_m)
     lanes_worth = float(base.sum())
-    enough = support >= max(0.8 * min(base.max(), 1.0), 0.2 * support.max())
+    enough = support >= max(0.8 * min(base.max(), 1.0), 0.1 * support.max())
     if not enough.any():
         return None
     k = np.flatnonzero(enough)

@@ -30,14 +30,22 @@ class Corridor:
         node: (M,) indices into the nodes of the passes.
         s: (M,) arc length of each node, metres.
         d: (M,) offset to the left, metres.
-        scale_m: Length over which the road's shape is averaged, by the stream's speed.
+        speed_mps: Speed of the stream.
     """
 
     spine: Spine
     node: NDArray[np.int64]
     s: NDArray[np.float64]
     d: NDArray[np.float64]
-    scale_m: float
+    speed_mps: float
+
+    @property
+    def scale_m(self) -> float:
+        """Length over which the road's shape is averaged.
+
+        Roads bend, and vehicles change lanes, over a time rather than a length.
+        """
+        return scale_m(self.speed_mps)
 
 
 def find_corridors(passes: Passes, known: Sequence[tuple[Spine, float]] = ()) -> list[Corridor]:
@@ -45,7 +53,7 @@ def find_corridors(passes: Passes, known: Sequence[tuple[Spine, float]] = ()) ->
 
     Args:
         passes: All traffic.
-        known: Reference curves and scales of streams found before; only traffic that fits none of
+        known: Reference curves and speeds of streams found before; only traffic that fits none of
             them makes a new one.
     """
     owner = passes.pass_of_node()
@@ -55,8 +63,8 @@ def find_corridors(passes: Passes, known: Sequence[tuple[Spine, float]] = ()) ->
     elapsed[passes.offset[:-1]] = 0.0
     left = np.ones(len(owner), bool)
     corridors: list[Corridor] = []
-    for spine, scale_m in known:
-        corridor = place_nodes(spine, scale_m, passes, np.flatnonzero(left))
+    for spine, speed_mps in known:
+        corridor = place_nodes(spine, speed_mps, passes, np.flatnonzero(left))
         left[corridor.node] = False
         if len(corridor.node):
             corridors.append(corridor)
@@ -67,7 +75,7 @@ def find_corridors(passes: Passes, known: Sequence[tuple[Spine, float]] = ()) ->
         seed_pass = int(np.argmax(remaining))
         seed = np.flatnonzero(left & (owner == seed_pass))
         speed = step[seed].sum() / max(elapsed[seed].sum(), 1e-3)
-        corridor = _corridor(passes, np.flatnonzero(left), seed, _scale_m(speed))
+        corridor = _corridor(passes, np.flatnonzero(left), seed, float(speed))
         left[seed] = False
         left[corridor.node] = False
         if len(corridor.node):
@@ -75,23 +83,25 @@ def find_corridors(passes: Passes, known: Sequence[tuple[Spine, float]] = ()) ->
     return corridors
 
 
-def place_nodes(spine: Spine, scale_m: float, passes: Passes, among: NDArray[np.int64]) -> Corridor:
+def place_nodes(
+    spine: Spine, speed_mps: float, passes: Passes, among: NDArray[np.int64]
+) -> Corridor:
     """The corridor around `spine`, with the nodes `among` (M,) that run along it."""
     s, d = spine.to_road(passes.xy[among])
     angle = wrap_rad(passes.heading[among] - spine.heading_at(s))
     fits = (np.abs(angle) < MAX_ANGLE_RAD) & (np.abs(d) < MAX_OFFSET_M) & spine.regular(s, d)
     fits &= (s >= 0.0) & (s <= spine.s[-1])
-    return Corridor(spine, among[fits], s[fits], d[fits], scale_m)
+    return Corridor(spine, among[fits], s[fits], d[fits], speed_mps)
 
 
 def _corridor(
-    passes: Passes, left: NDArray[np.int64], seed: NDArray[np.int64], scale_m: float
+    passes: Passes, left: NDArray[np.int64], seed: NDArray[np.int64], speed_mps: float
 ) -> Corridor:
     position = np.searchsorted(left, seed)
-    spine = trace_spine(passes.xy[left], passes.heading[left], position, scale_m)
-    return place_nodes(spine, scale_m, passes, left)
+    spine = trace_spine(passes.xy[left], passes.heading[left], position, scale_m(speed_mps))
+    return place_nodes(spine, speed_mps, passes, left)
 
 
-def _scale_m(speed_mps: float) -> float:
-    """Roads bend, and vehicles change lanes, over a time rather than a length."""
+def scale_m(speed_mps: float) -> float:
+    """See `Corridor.scale_m`."""
     return float(np.clip(0.7 * speed_mps, 5.0, 20.0))

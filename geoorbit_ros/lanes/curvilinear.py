@@ -101,7 +101,7 @@ class CurvilinearEstimator:
             self._traced_passes = len(passes)
         else:
             corridors = find_corridors(passes, self._spines)
-        self._spines = [(c.spine, c.scale_m) for c in corridors]
+        self._spines = [(c.spine, c.speed_mps) for c in corridors]
         return corridors
 
 
@@ -122,7 +122,7 @@ def _candidates(
     found = []
     for ridge, direction in zip(ridges, directions, strict=True):
         members = find_members(profiles, ridge, direction, corridor.scale_m)
-        line = fit_centerline(profiles, ridge, members, large, 2.0 * corridor.scale_m)
+        line = fit_centerline(profiles, ridge, members, trust, 2.0 * corridor.scale_m)
         if line is not None:
             length_m = (len(line.d) - 1) * profiles.step_m
             evidence = LaneEvidence(
@@ -159,7 +159,8 @@ def _shapes(
         mine = [i for i, c in enumerate(candidates) if c.corridor == k]
         lines = [candidates[i].line for i in mine]
         spacings += neighbour_spacings(lines, grid.step_m, mine)
-    width, error = lane_widths(len(candidates), spacings)
+    speed = np.array([corridors[c.corridor].speed_mps for c in candidates])
+    width, error = lane_widths(speed, spacings)
     lanes = []
     for i, candidate in enumerate(candidates):
         spine = corridors[candidate.corridor].spine

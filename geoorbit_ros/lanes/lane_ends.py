@@ -20,7 +20,7 @@ DRIFT_M = 0.2
 USUAL_QUANTILE = 0.7
 EMPTYING = 0.75
 """Share of a lane's usual traffic below which it is emptying."""
-EMPTY = 0.35
+EMPTY = 0.15
 """Share below which it has ended."""
 MIN_STATIONS = 6
 

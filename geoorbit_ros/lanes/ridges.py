@@ -240,7 +240,7 @@ def _junction(ending: Ridge, going: Ridge) -> int | None:
     end = ending.first + len(ending.d)
     if min(len(ending.d), end - going.first) < 2 * MIN_STATIONS:
         return None
-    if going.first + len(going.d) < end + 2 * MIN_STATIONS:
+    if going.first + len(going.d) < end + MIN_STATIONS:
         return None
     if abs(going.d[end - 1 - going.first] - ending.d[-1]) > MIN_SPACING_M:
         return None

@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.lanes.centerlines import Centerline
 
-TYPICAL_WIDTH_M = 3.5
-TYPICAL_SIGMA_M = 0.25
-"""Motor-traffic lanes the world over: 3.25 to 3.75 m (AASHTO Green Book; RAA; CD 127)."""
+TYPICAL_WIDTH_M = (3.25, 3.6)
+TYPICAL_SPEED_MPS = (14.0, 22.0)
+TYPICAL_SIGMA_M = 0.2
+"""City streets have 3.0 to 3.5 m (NACTO Urban Street Design Guide), faster roads 3.5 to 3.75 m
+(AASHTO Green Book 12 ft, German RAA, UK CD 127)."""
 SPREAD_M = 0.12
 """1-sigma of lane widths within one road."""
 SHOULDER_M = 0.6
@@ -80,21 +82,29 @@ def _spacing(a: Centerline, b: Centerline, step_m: float) -> tuple[float, float]
 
 
 def lane_widths(
-    count: int, spacings: Sequence[Spacing]
+    speed_mps: NDArray[np.float64], spacings: Sequence[Spacing]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Width and its 1-sigma error of each of `count` lanes.
+    """Width and its 1-sigma error of each lane.
 
-    Two normal priors, one in the other: the road's width around the typical one, each lane's around
-    the road's.
+    Two normal priors, one in the other: the road's width around the one that is typical of its
+    speed, each lane's around the road's.
+
+    Args:
+        speed_mps: (N,) speed of the traffic in each lane.
+        spacings: Measured spacings between lanes, by lane number.
     """
+    count = len(speed_mps)
+    if count == 0:
+        return np.empty(0), np.empty(0)
+    typical_m = float(np.interp(speed_mps, TYPICAL_SPEED_MPS, TYPICAL_WIDTH_M).mean())
     value = np.array([s.value_m for s in spacings])
     sigma = np.array([s.sigma_m for s in spacings])
-    road, road_sigma = TYPICAL_WIDTH_M, TYPICAL_SIGMA_M
+    road, road_sigma = typical_m, TYPICAL_SIGMA_M
     if len(value):
         narrow = value <= np.median(value) + SHOULDER_M
         weight = 1.0 / (sigma[narrow] ** 2 + SPREAD_M**2)
         total = TYPICAL_SIGMA_M**-2 + weight.sum()
-        road = (TYPICAL_WIDTH_M * TYPICAL_SIGMA_M**-2 + weight @ value[narrow]) / total
+        road = (typical_m * TYPICAL_SIGMA_M**-2 + weight @ value[narrow]) / total
         road_sigma = total**-0.5
     width = np.empty(count)
     error = np.empty(count)

@@ -16,7 +16,7 @@ SAMPLE_M = 1.0
 CAR_M = (4.5, 1.82, 1.47)
 MIN_HEIGHT_PX = 14.0
 BORDER_PX = 2.0
-MAX_GROUND_SIGMA_M = 1.0
+MAX_GROUND_SIGMA_M = 1.3
 """Where one pixel is more than this on the ground, the camera places no vehicle in a lane."""
 MIN_LENGTH_M = 20.0
 COUNT_M = 20.0
