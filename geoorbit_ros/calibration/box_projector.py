@@ -31,8 +31,9 @@ ends of boxes pile up within 4 px of the right border and 9 px of the bottom one
 detectors round to their stride and don't reach the last pixels."""
 MAX_SIGMA_M = 10.0
 """Farther out a vehicle's position along the road is uncertain by two of its lengths."""
-SIZE_PERIOD_S = 0.099
-"""Boxes of the next few frames have the same errors and would say nothing new about sizes."""
+SIZE_PERIOD_S = 0.1
+"""Sizes are learnt from one frame in every such period of data time: boxes of the frames between
+have the same errors and say nothing new."""
 PATH_HEIGHT_M = 0.8
 """Half the height of a car."""
 
@@ -115,7 +116,12 @@ class BoxProjector:
         self._sizes = SizeFilter(self._slots.capacity)
         self._stamp_ns: int | None = None
         self._epoch_ns: int | None = None
-        self._sized_s = 0.0
+        self._period = 0
+
+    @property
+    def tracks(self) -> int:
+        """How many tracks are remembered: those seen in the last ten seconds."""
+        return len(self._slots)
 
     def project(self, stamp_ns: int, rows: NDArray[np.void]) -> NDArray[np.void]:
         """Project one frame; see `ground.GroundProjector`.
@@ -126,6 +132,8 @@ class BoxProjector:
         self._check_frame(stamp_ns, rows)
         if self._epoch_ns is None:
             self._epoch_ns = stamp_ns
+        time_s = (stamp_ns - self._epoch_ns) * 1e-9
+        period, self._period = self._period, int(time_s / SIZE_PERIOD_S)
         self._stamp_ns = stamp_ns
         rows, centre, side, truncated = self._usable_rows(rows)
         if not len(rows):
@@ -136,7 +144,6 @@ class BoxProjector:
             centre, solid = _foot(centre, side), np.zeros_like(solid)
             side = np.zeros_like(side)
 
-        time_s = (stamp_ns - self._epoch_ns) * 1e-9
         slot, fresh = self._slots.enter(stamp_ns, rows["track_id"])
         self._motion.reserve(self._slots.capacity)
         self._sizes.reserve(self._slots.capacity)
@@ -144,8 +151,7 @@ class BoxProjector:
         heading = self._motion.enter(slot, fresh)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             fit = fit_vehicles(self._projection, centre, side, heading, size, size_cov, solid)
-        if time_s - self._sized_s >= SIZE_PERIOD_S:
-            self._sized_s = time_s
+        if self._period != period:
             usable = solid & observed & ~truncated & fit.good & ~np.isnan(heading)
             self._sizes.update(slot, time_s, rows, side, fit.side_px, fit.side_slope, usable)
         total = fit.covariance + self.homography.fit_covariance(centre)
