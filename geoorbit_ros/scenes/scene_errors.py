@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
+from typing import Any
 
 import yaml
 from pydantic import ValidationError
-from pydantic_core import ErrorDetails
 
 from geoorbit_ros.core.errors import InputFileError
 
@@ -81,7 +81,7 @@ def wrong_scene(
     return InputFileError(place, found, expected)
 
 
-def _words(error: ErrorDetails, known_keys: list[str]) -> tuple[str, str]:
+def _words(error: Mapping[str, Any], known_keys: list[str]) -> tuple[str, str]:
     """What was found and expected, from pydantic's error."""
     if error["type"] == "missing" or error["input"] is None:
         return "nothing", _EXPECTED.get(error["type"], "a value")
