@@ -13,8 +13,9 @@ from geoorbit_ros.lanes.profiles import Profiles
 
 BIN_M = 0.2
 ALONG_BLUR_STATIONS = 2.0
+ALONG_REACH = 4
 LINK_M = 1.0
-"""A lane moves sideways by less than this from one station to the next."""
+"""A crest is found within this of where its slope leads from one station to the next."""
 MIN_SPACING_M = 2.4
 """Closer bundles are one lane: lanes are 2.7 to 4.5 m wide (AASHTO Green Book; UK CD 127)."""
 MIN_STATIONS = 4
@@ -65,21 +66,26 @@ def lateral_density(profiles: Profiles, blur_m: float, trust: NDArray[np.float64
         trust: (V, J) factor on each vehicle's weight at each station.
     """
     row, j = np.nonzero(profiles.seen)
-    d = profiles.d[row, j]
+    d, slope = profiles.d[row, j], profiles.slope[row, j]
+    weight = profiles.weight[row] * trust[row, j]
     margin = 4.0 * blur_m + BIN_M
     # Bin edges are tied to the data, not to the spine: a shifted spine gives shifted bins.
     low = d.min() - margin
     bins = int(np.ceil((d.max() + margin - low) / BIN_M)) + 1
-    at = (d - low) / BIN_M
-    left = np.floor(at).astype(np.int64)
-    share = at - left
-    weight = profiles.weight[row] * trust[row, j]
-    shape = len(profiles.station_m), bins
-    cell = j * bins + left
-    grid = np.bincount(cell, weight * (1.0 - share), shape[0] * bins)
-    grid += np.bincount(cell + 1, weight * share, shape[0] * bins)
-    image = gaussian_filter1d(grid.reshape(shape), blur_m / BIN_M, axis=1, mode="constant")
-    image = gaussian_filter1d(image, ALONG_BLUR_STATIONS, axis=0, mode="constant")
+    stations = len(profiles.station_m)
+    grid = np.zeros(stations * bins)
+    # Along the road each vehicle is blurred in its own direction: ramps stay as sharp as lanes.
+    shifts = np.arange(-ALONG_REACH, ALONG_REACH + 1)
+    shares = np.exp(-0.5 * (shifts / ALONG_BLUR_STATIONS) ** 2)
+    for shift, share in zip(shifts, shares / shares.sum(), strict=True):
+        at = (d + slope * shift * profiles.step_m - low) / BIN_M
+        left = np.floor(at).astype(np.int64)
+        use = (j + shift >= 0) & (j + shift < stations) & (left >= 0) & (left < bins - 1)
+        cell, part = (j[use] + shift) * bins + left[use], at[use] - left[use]
+        grid += np.bincount(cell, share * weight[use] * (1.0 - part), len(grid))
+        grid += np.bincount(cell + 1, share * weight[use] * part, len(grid))
+    image = grid.reshape(stations, bins)
+    image = gaussian_filter1d(image, blur_m / BIN_M, axis=1, mode="constant")
     return Density(low + BIN_M * np.arange(bins), image / BIN_M)
 
 
@@ -100,7 +106,7 @@ def find_ridges(density: Density, min_height: float, prominence: float) -> list[
         k = np.flatnonzero(crest[j]) + 1
         peak_d, peak_h = _prominent(line, k, density.offset_m, prominence)
         taken = np.zeros(len(peak_d), bool)
-        last = np.array([ridge[1][-1] for ridge in open_ridges])
+        last = np.array([_next_offset(ridge[1]) for ridge in open_ridges])
         still: list[tuple[int, list[float], list[float]]] = []
         gap = np.abs(last[:, None] - peak_d[None, :])
         for i, ridge in enumerate(open_ridges):
@@ -155,6 +161,12 @@ def separate(ridges: list[Ridge]) -> list[Ridge]:
             if b - a >= MIN_STATIONS:
                 kept.append(Ridge(ridge.first + int(a), ridge.d[a:b], ridge.height[a:b]))
     return kept
+
+
+def _next_offset(offsets: list[float]) -> float:
+    """Where a ridge with these offsets goes next, by its slope over the last stations."""
+    recent = offsets[-MIN_STATIONS:]
+    return recent[-1] + (recent[-1] - recent[0]) / max(len(recent) - 1, 1)
 
 
 def _prominent(
