@@ -92,7 +92,7 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
             for k in range(len(points))
         }
         counts = {f"boxes_{key}": n for key, n in asdict(self._projector.counts).items()}
-        return counts | errors
+        return {"tracks_subscribers": self.tracks.get_subscription_count(), **counts, **errors}
 
     def _datum(self) -> Datum | None:
         given = (self.p.datum_latitude_deg, self.p.datum_longitude_deg)

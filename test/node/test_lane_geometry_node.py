@@ -117,9 +117,7 @@ def test_the_map_is_bit_for_bit_the_offline_one(nodes, tracks):
     mapper = LaneMapper(make_estimator("curvilinear"), LaneParameters(), 5.0)
     maps = [m for stamp_ns, rows in tracks if (m := mapper.add(stamp_ns, rows)) is not None]
     maps.append(mapper.finish())
-    expected = [
-        dumps_lanes(m, DATUM, camera_id="north", estimator="curvilinear") for m in maps
-    ]
+    expected = [dumps_lanes(m, DATUM, camera_id="north", estimator="curvilinear") for m in maps]
     assert [text.data for text in texts] == expected
 
 

@@ -1,0 +1,116 @@
+"""Serialised messages are what rclpy reads, for every frame name and number of poses."""
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseArray
+from hypothesis import given
+from hypothesis import strategies as st
+from nav_msgs.msg import Path
+from rclpy.serialization import deserialize_message, serialize_message
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import NavSatFix, PointCloud2
+from std_msgs.msg import String
+
+from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.conversions import (
+    datum_from_fix,
+    datum_to_fix,
+    decode_string,
+    encode_clock,
+    encode_path,
+    encode_pose_array,
+    encode_string,
+    message_class,
+    path_headings,
+)
+from geoorbit_ros.core.errors import MessageError
+
+frame_ids = st.text(st.characters(min_codepoint=1, exclude_categories=("Cs",)), max_size=20)
+poses = st.lists(st.tuples(*[st.floats(-1e6, 1e6)] * 2, st.floats(-3.2, 3.2)), max_size=9)
+stamps = st.integers(0, 2**31 * 10**9 - 1)
+
+
+def columns(values):
+    array = np.array(values, dtype=np.float64).reshape(-1, 3)
+    return array[:, :2], array[:, 2]
+
+
+def in_poses(message_poses):
+    return [
+        (p.position.x, p.position.y, 2 * np.arctan2(p.orientation.z, p.orientation.w))
+        for p in message_poses
+    ]
+
+
+def same(found, values):
+    assert len(found) == len(values)
+    for (x, y, heading), expected in zip(found, values, strict=True):
+        assert (x, y) == expected[:2]
+        assert heading == pytest.approx(expected[2], abs=1e-12)
+
+
+@given(stamps, frame_ids, poses)
+def test_pose_arrays_read_back(stamp_ns, frame_id, values):
+    message = deserialize_message(
+        encode_pose_array(stamp_ns, frame_id, *columns(values)), PoseArray
+    )
+    assert message.header.frame_id == frame_id
+    assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamp_ns
+    same(in_poses(message.poses), values)
+
+
+@given(stamps, frame_ids, poses)
+def test_paths_read_back_with_the_header_in_every_pose(stamp_ns, frame_id, values):
+    message = deserialize_message(encode_path(stamp_ns, frame_id, *columns(values)), Path)
+    assert message.header.frame_id == frame_id
+    assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamp_ns
+    assert all(stamped.header == message.header for stamped in message.poses)
+    same(in_poses(stamped.pose for stamped in message.poses), values)
+
+
+@given(st.text(st.characters(min_codepoint=1, exclude_categories=("Cs",))))
+def test_strings_read_back_here_and_in_rclpy(text):
+    assert deserialize_message(encode_string(text), String).data == text
+    assert decode_string(serialize_message(String(data=text)), "topic") == text
+
+
+@given(st.binary(max_size=40))
+def test_bytes_that_are_no_string_are_refused_by_name(cdr):
+    try:
+        decode_string(cdr, "/cam/lanes/geojson")
+    except MessageError as error:
+        assert "/cam/lanes/geojson" in str(error)
+
+
+@given(stamps)
+def test_the_clock_reads_back(stamp_ns):
+    clock = deserialize_message(encode_clock(stamp_ns), Clock).clock
+    assert clock.sec * 10**9 + clock.nanosec == stamp_ns
+
+
+@given(st.floats(-90, 90), st.floats(-180, 180))
+def test_the_datum_survives_the_message_exactly(latitude, longitude):
+    datum = Datum(latitude, longitude)
+    cdr = serialize_message(datum_to_fix(datum, "map"))
+    assert datum_from_fix(deserialize_message(cdr, NavSatFix), "datum") == datum
+
+
+@pytest.mark.parametrize("latitude", [float("nan"), 90.5, float("inf")])
+def test_a_fix_without_a_position_is_refused(latitude):
+    with pytest.raises(MessageError, match="/cam/datum"):
+        datum_from_fix(NavSatFix(latitude=latitude), "/cam/datum")
+
+
+def test_headings_follow_the_line_and_turn_with_it():
+    angle = np.linspace(0, np.pi / 2, 40)
+    line = 100 * np.column_stack((np.sin(angle), 1 - np.cos(angle)))
+    assert np.allclose(path_headings(line), angle, atol=0.03)
+    turned = line @ np.array([[0.0, 1.0], [-1.0, 0.0]])  # by 90 degrees
+    difference = np.angle(np.exp(1j * (path_headings(turned) - path_headings(line))))
+    assert np.allclose(difference, np.pi / 2)
+
+
+def test_message_classes_are_found_by_name():
+    assert message_class("sensor_msgs/msg/PointCloud2") is PointCloud2
+    assert message_class("not_there_msgs/msg/Thing") is None
+    assert message_class("sensor_msgs/msg/NoSuchThing") is None

@@ -1,0 +1,35 @@
+"""What a node says about itself once a second."""
+
+import numpy as np
+from probe import LOSSLESS, Probe
+
+from geoorbit_ros.core.tables import TRACK_DTYPE
+from geoorbit_ros.nodes.lane_geometry import LaneGeometryNode
+
+FRAME_NS = 33_333_333
+
+
+def test_counts_rate_latency_and_missing_frames(nodes):
+    node = nodes.make(LaneGeometryNode, "north", LOSSLESS)
+    probe = Probe(nodes)
+    send = probe.table_publisher("tracks")
+    stamps = [10**9 + k * FRAME_NS for k in range(50) if k not in (40, 41)]
+    for stamp_ns in stamps:
+        send(stamp_ns, np.empty(0, TRACK_DTYPE))
+    probe.until(lambda: node.diagnostics.received == len(stamps), "all frames")
+    status = probe.status_of("/north/lane_geometry")
+    assert status["received"] == str(len(stamps))
+    assert status["missing"] == "2"
+    assert status["message"] == "2 frames missing"
+    assert status["level"] == "1"
+    assert float(status["rate_hz"]) > 10
+    assert 0 < float(status["latency_ms_median"]) <= float(status["latency_ms_p99"])
+    quiet = probe.status_of("/north/lane_geometry")
+    assert (quiet["level"], quiet["rate_hz"]) == ("0", "0.0")
+
+
+def test_they_come_although_simulated_time_stands_still(nodes):
+    nodes.make(LaneGeometryNode, "north", LOSSLESS | {"use_sim_time": True})
+    status = Probe(nodes).status_of("/north/lane_geometry")
+    assert status["message"] == "nothing received yet"
+    assert status["datum"] == "not received yet"

@@ -1,0 +1,110 @@
+"""Parameters: schemas and structs agree, and a bad value is one sentence."""
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import pytest
+import yaml
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from geoorbit_ros.core.errors import ParameterError
+from geoorbit_ros.nodes.bag_player import BagPlayerNode
+from geoorbit_ros.nodes.homography import HomographyNode
+from geoorbit_ros.nodes.lane_geometry import LaneGeometryNode, LaneGeometryParameters
+from geoorbit_ros.nodes.recorder import RecorderNode
+from geoorbit_ros.parameters import NodeParameters, load_schema
+
+PARAMS = Path(__file__).parents[2] / "params"
+KINDS = {"bool": "bool", "int": "int", "double": "float", "string": "str"}
+
+
+def declare(nodes, **overrides) -> NodeParameters[LaneGeometryParameters]:
+    values = [Parameter(key, value=value) for key, value in overrides.items()]
+    node = Node("n", context=nodes.context, namespace="cam", parameter_overrides=values)
+    nodes.add(node)
+    return NodeParameters(node, LaneGeometryParameters, "lane_geometry")
+
+
+@pytest.mark.parametrize(
+    "node_class", [BagPlayerNode, HomographyNode, LaneGeometryNode, RecorderNode]
+)
+def test_struct_and_schema_name_the_same_parameters_with_the_same_types(node_class):
+    schema = {spec.name: KINDS[spec.kind] for spec in load_schema(node_class.name)}
+    assert {f.name: f.type for f in fields(node_class.struct)} == schema
+
+
+@pytest.mark.parametrize(
+    "node_class", [BagPlayerNode, HomographyNode, LaneGeometryNode, RecorderNode]
+)
+def test_defaults_satisfy_their_own_schema_unless_they_must_be_given(node_class):
+    for spec in load_schema(node_class.name):
+        if not spec.not_empty or spec.default:
+            assert spec.checked(spec.default, "default") is not None
+
+
+def test_the_sample_file_holds_known_parameters_within_their_bounds():
+    content = yaml.safe_load((PARAMS / "camera.yaml").read_text())
+    assert content
+    for key, entry in content.items():
+        schema = {spec.name: spec for spec in load_schema(key.removeprefix("/**/"))}
+        for name, value in entry["ros__parameters"].items():
+            schema[name].checked(value, key)
+
+
+def test_overrides_reach_the_struct_and_whole_numbers_become_doubles(nodes):
+    parameters = declare(nodes, update_period_s=3, estimator="geolane").value
+    assert (parameters.update_period_s, parameters.estimator) == (3.0, "geolane")
+    assert type(parameters.update_period_s) is float
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "found", "expected"),
+    [
+        ("smoothing", 0.5, "0.5", "a number from 1 to 20"),
+        ("smoothing", "much", "'much'", "a number from 1 to 20"),
+        ("smoothing", float("nan"), "nan", "a number from 1 to 20"),
+        ("queue_depth", 1.5, "1.5", "a whole number from 0 to 100000"),
+        ("queue_depth", True, "True", "a whole number from 0 to 100000"),
+        ("publish_tentative", 1, "1", "true or false"),
+        ("estimator", "magic", "'magic'", "curvilinear or geolane"),
+        ("restart_jump_s", 0.0, "0.0", "a number above 0"),
+        ("frame_id", "", "''", "text, not empty"),
+    ],
+)
+def test_a_bad_value_names_node_parameter_value_and_expectation(
+    nodes, name, value, found, expected
+):
+    with pytest.raises(ParameterError) as caught:
+        declare(nodes, **{name: value})
+    assert str(caught.value) == (
+        f"node '/cam/n', parameter '{name}': found {found}, expected {expected}"
+    )
+
+
+def test_a_refused_change_leaves_all_parameters_as_they_were(nodes):
+    parameters = declare(nodes)
+    before = parameters.value
+    node = parameters_node(nodes)
+    changes = [Parameter("angle", value=0.9), Parameter("smoothing", value=99.0)]
+    result = node.set_parameters_atomically(changes)
+    assert not result.successful
+    assert "'smoothing': found 99.0, expected a number from 1 to 20" in result.reason
+    assert parameters.value is before
+    assert node.set_parameters_atomically(changes[:1]).successful
+    assert parameters.value.angle == 0.9
+
+
+def parameters_node(nodes) -> Node:
+    return nodes._nodes[-1]
+
+
+def test_a_struct_that_is_not_its_schema_is_refused(nodes):
+    @dataclass(frozen=True)
+    class Other:
+        estimator: str
+        invented: int
+
+    node = nodes.add(Node("n", context=nodes.context))
+    with pytest.raises(ParameterError, match="invented"):
+        NodeParameters(node, Other, "lane_geometry")

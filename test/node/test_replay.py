@@ -1,0 +1,91 @@
+"""Through the real graph or without it, at any rate: the same bytes."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rclpy.node import Node
+
+from geoorbit_ros.cli.main import main
+from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE, Frames
+from geoorbit_ros.nodes.composition import Composition
+from geoorbit_ros.storage.bag import write_track_bag
+from geoorbit_ros.storage.database import TrajectoryReader
+from geoorbit_ros.storage.track_csv import read_track_csv
+
+
+def lanes(camera, out: Path, *more: str) -> bytes:
+    words = ["lanes", "--bag", camera.bag, "--calibration", camera.calibration, "--out", out]
+    assert main([*map(str, words), *more]) == 0
+    return out.read_bytes()
+
+
+def replay(camera, out: Path, *more: str) -> bytes:
+    words = ["replay", camera.bag, "--calibration", camera.calibration, "--out", out]
+    assert main([*map(str, words), *more]) == 0
+    return out.read_bytes()
+
+
+@pytest.mark.parametrize("estimator", ["curvilinear", "geolane"])
+def test_replay_at_any_rate_gives_the_bytes_of_lanes(camera, tmp_path, estimator):
+    more = ("--estimator", estimator, "--update-period-s", "2")
+    expected = lanes(camera, tmp_path / "lanes.geojson", *more)
+    for rate in ("0", "10", "37"):
+        got = replay(camera, tmp_path / f"rate_{rate}.geojson", "--rate", rate, *more)
+        assert got == expected, f"rate {rate}"
+
+
+def test_replay_can_record_every_frame(camera, tmp_path):
+    database = tmp_path / "t.db"
+    replay(camera, tmp_path / "lanes.geojson", "--rate", "0", "--database", str(database))
+    with TrajectoryReader(database) as reader:
+        (content,) = reader.cameras()
+        assert content.frames == len(camera.frames)
+        (*_, (stamp_ns, text)) = reader.lane_maps("north")
+    assert stamp_ns == camera.frames.stamp_ns[-1]
+    assert text == (tmp_path / "lanes.geojson").read_text()
+
+
+def test_a_camera_without_traffic_is_one_sentence_and_no_file(camera, tmp_path, capfd):
+    stamps = np.arange(1, 50, dtype=np.int64) * 10**8
+    nothing = Frames(stamps, np.zeros(50, np.int64), np.empty(0, PIXEL_TRACK_DTYPE))
+    bag = tmp_path / "quiet"
+    write_track_bag(bag, "north", nothing)
+    out = tmp_path / "lanes.geojson"
+    words = ["replay", bag, "--calibration", camera.calibration, "--out", out, "--rate", "0"]
+    assert main([str(word) for word in words]) == 2
+    said = capfd.readouterr().err.strip()
+    assert said.count("\n") == 0
+    assert str(bag) in said and "vehicle" in said
+    assert not out.exists()
+    assert os.listdir(tmp_path) == ["quiet"]
+
+
+def test_a_composition_is_alone_unless_told_otherwise():
+    with Composition() as first, Composition() as second, Composition(first.domain_id) as third:
+        assert first.domain_id != second.domain_id
+        lone = first.add(Node("lone", context=first.context))
+        other = second.add(Node("other", context=second.context))
+        friend = third.add(Node("friend", context=third.context))
+        third.wait(lambda: "lone" in friend.get_node_names(), 20, "the node of the same domain")
+        first.wait(lambda: "friend" in lone.get_node_names(), 20, "the node of the same domain")
+        assert other.get_node_names() == ["other"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["Yahara", "Monona"])
+def test_real_cameras_give_the_bytes_of_lanes(name, tmp_path):
+    shared = os.environ.get("GEOORBIT_REAL_DATA")
+    if not shared:
+        pytest.skip("GEOORBIT_REAL_DATA names no folder with us12/")
+    folder = Path(shared) / "us12" / name
+    frames = read_track_csv(folder / "trajectory.csv", (1920, 1080))
+    write_track_bag(tmp_path / "bag", name.lower(), frames)
+    common = ["--calibration", str(folder / "calibration.csv"), "--out"]
+    offline, live = tmp_path / "lanes.geojson", tmp_path / "replay.geojson"
+    assert main(["lanes", "--bag", str(tmp_path / "bag"), *common, str(offline)]) == 0
+    for rate in ("0", "10"):
+        words = ["replay", str(tmp_path / "bag"), *common, str(live), "--rate", rate]
+        assert main(words) == 0
+        assert live.read_bytes() == offline.read_bytes()

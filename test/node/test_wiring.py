@@ -1,0 +1,121 @@
+"""Launch file and RViz layout against the nodes that run."""
+
+import importlib.util
+import re
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+import yaml
+from geometry_msgs.msg import PoseArray
+from probe import LOSSLESS, Probe
+from rclpy.expand_topic_name import expand_topic_name
+from std_srvs.srv import Trigger
+
+from geoorbit_ros.nodes.bag_player import BagPlayerNode
+from geoorbit_ros.nodes.homography import HomographyNode
+from geoorbit_ros.nodes.lane_geometry import LaneGeometryNode
+from geoorbit_ros.nodes.recorder import RecorderNode
+from geoorbit_ros.parameters import load_schema
+
+ROOT = Path(__file__).parents[2]
+NODES = {n.name: n for n in (BagPlayerNode, HomographyNode, LaneGeometryNode, RecorderNode)}
+RVIZ_TYPES = {
+    "rviz_default_plugins/Path": "nav_msgs/msg/Path",
+    "rviz_default_plugins/PoseArray": "geometry_msgs/msg/PoseArray",
+    "rviz_default_plugins/MarkerArray": "visualization_msgs/msg/MarkerArray",
+}
+LATCHED_IN_RVIZ = ("Reliable", "Transient Local")
+
+
+def rviz_displays() -> list[dict[str, Any]]:
+    content = yaml.safe_load((ROOT / "params" / "geoorbit.rviz").read_text())
+    displays: list[dict[str, Any]] = content["Visualization Manager"]["Displays"]
+    return [display for display in displays if "Topic" in display]
+
+
+def test_every_display_finds_its_topic_with_its_type_and_quality_of_service(nodes, camera):
+    lanes = nodes.make(LaneGeometryNode, "north", LOSSLESS)
+    calibration = {"calibration_file": str(camera.calibration)}
+    homography = nodes.make(HomographyNode, "north", LOSSLESS | calibration)
+    probe = Probe(nodes)
+    poses = probe.listen("lanes", PoseArray)
+    probe.until(lambda: homography.tracks.get_subscription_count() == 1, "the nodes")
+    send = probe.table_publisher("tracks_px")
+    for k, stamp_ns in enumerate(camera.frames.stamp_ns):
+        send(int(stamp_ns), camera.frames.frame(k))
+    probe.until(lambda: lanes.frames == len(camera.frames), "all frames")
+    probe.call("lane_geometry/update", Trigger, Trigger.Request())
+    probe.until(lambda: bool(poses) and bool(poses[-1].poses), "lanes")
+
+    displays = rviz_displays()
+    assert {display["Class"] for display in displays} == set(RVIZ_TYPES)
+    for display in displays:
+        topic = expand_topic_name(display["Topic"]["Value"], "rviz", "/north")
+        ends = probe.node.get_publishers_info_by_topic(topic)
+        assert [end.topic_type for end in ends] == [RVIZ_TYPES[display["Class"]]], topic
+        offered = ends[0].qos_profile
+        asked = display["Topic"]["Reliability Policy"], display["Topic"]["Durability Policy"]
+        latched = offered.durability.name == "TRANSIENT_LOCAL"
+        assert (asked == LATCHED_IN_RVIZ) == latched, topic
+
+
+class Recorded:
+    """Stands in for every class of launch and launch_ros: keeps what it was made with."""
+
+    def __init__(self, *arguments: Any, **named: Any) -> None:
+        self.arguments, self.named = arguments, named
+
+
+@pytest.fixture
+def launched(monkeypatch) -> list[Recorded]:
+    """The entities of the launch description; launch itself has no wheel."""
+    for name in (
+        "launch",
+        "launch.actions",
+        "launch.conditions",
+        "launch.substitutions",
+        "launch_ros",
+        "launch_ros.actions",
+        "launch_ros.parameter_descriptions",
+        "launch_ros.substitutions",
+    ):
+        module = ModuleType(name)
+        module.__getattr__ = lambda key: type(key, (Recorded,), {})  # type: ignore[method-assign]
+        monkeypatch.setitem(sys.modules, name, module)
+    spec = importlib.util.spec_from_file_location("wiring", ROOT / "launch" / "geoorbit.launch.py")
+    assert spec and spec.loader
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    entities: list[Recorded] = module.generate_launch_description().arguments[0]
+    return entities
+
+
+def of_kind(entities: list[Recorded], kind: str) -> list[Recorded]:
+    return [entity for entity in entities if type(entity).__name__ == kind]
+
+
+def test_the_launch_file_starts_every_node_with_parameters_it_has(launched):
+    started = [n.named for n in of_kind(launched, "Node") if n.named["package"] == "geoorbit_ros"]
+    assert {node["executable"] for node in started} == set(NODES)
+    for node in started:
+        known = {spec.name for spec in load_schema(node["executable"])} | {"use_sim_time"}
+        for parameters in node["parameters"]:
+            if isinstance(parameters, dict):
+                assert set(parameters) <= known
+
+
+def test_the_launch_file_declares_what_it_uses_and_uses_what_it_declares(launched):
+    declared = {entity.arguments[0] for entity in of_kind(launched, "DeclareLaunchArgument")}
+    text = (ROOT / "launch" / "geoorbit.launch.py").read_text()
+    used = set(re.findall(r'LaunchConfiguration\("(\w+)"\)', text))
+    assert used == declared
+
+
+def test_the_layout_and_the_sample_parameters_that_are_launched_exist(launched):
+    text = (ROOT / "launch" / "geoorbit.launch.py").read_text()
+    for name in ("camera.yaml", "geoorbit.rviz"):
+        assert name in text
+        assert (ROOT / "params" / name).is_file()

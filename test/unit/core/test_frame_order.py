@@ -1,0 +1,61 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from geoorbit_ros.core.frame_order import FrameOrder, Verdict
+
+FRAME_NS = 33_333_333
+
+
+def fed(stamps: list[int], restart_jump_s: float = 1.0) -> tuple[FrameOrder, list[Verdict]]:
+    order = FrameOrder(restart_jump_s)
+    return order, [order.judge(stamp) for stamp in stamps]
+
+
+@given(st.lists(st.integers(0, 10**12), max_size=60))
+def test_frames_that_pass_increase_except_at_a_restart(stamps: list[int]) -> None:
+    _, verdicts = fed(stamps)
+    last = None
+    for stamp, verdict in zip(stamps, verdicts, strict=True):
+        if verdict is Verdict.NEXT:
+            assert last is None or stamp > last
+        elif verdict is Verdict.RESTART:
+            assert last is not None and stamp < last - 10**9
+        else:
+            assert last is not None and last - 10**9 <= stamp <= last
+            continue
+        last = stamp
+
+
+def test_the_same_frame_twice_is_late() -> None:
+    assert fed([5, 5])[1] == [Verdict.NEXT, Verdict.LATE]
+
+
+def test_a_stream_in_order_misses_nothing_although_it_jitters() -> None:
+    jitter = np.random.default_rng(1).integers(-FRAME_NS // 6, FRAME_NS // 6, 500)
+    stamps = (np.arange(500) * FRAME_NS + 10**9 + jitter).tolist()
+    assert fed(stamps)[0].missing == 0
+
+
+@pytest.mark.parametrize("lost", [1, 2, 7])
+def test_missing_frames_are_counted(lost: int) -> None:
+    stamps = [k * FRAME_NS for k in range(100) if not 60 <= k < 60 + lost]
+    assert fed(stamps)[0].missing == lost
+
+
+def test_every_second_frame_lost_from_some_time_on_is_counted_then_taken_for_the_rate() -> None:
+    stamps = [k * FRAME_NS for k in range(300) if k < 100 or k % 2]
+    assert 10 <= fed(stamps)[0].missing <= 16
+
+
+def test_a_camera_that_was_off_for_an_hour_lost_no_frames() -> None:
+    stamps = [k * FRAME_NS for k in range(50)]
+    assert fed([*stamps, stamps[-1] + 3600 * 10**9])[0].missing == 0
+
+
+def test_a_restart_is_no_gap() -> None:
+    stamps = [k * FRAME_NS for k in range(100)]
+    order, verdicts = fed(stamps + stamps)
+    assert order.missing == 0
+    assert verdicts.count(Verdict.RESTART) == 1
