@@ -155,6 +155,18 @@ def test_a_side_street_begins_where_it_leaves() -> None:
     assert chain_of("urban_turn", ("street_in", 0)) == [("street_in", 0), ("street_out", 0)]
 
 
+@pytest.mark.parametrize("ramp_first", [True, False])
+def test_where_two_lanes_become_one_the_road_goes_on_and_the_ramp_ends(ramp_first: bool) -> None:
+    path = [{"straight_m": 50}]
+    ahead: dict[str, object] = {"id": "ahead", "lanes": 3, "follows": "main", "path": path}
+    into = {"road": "ahead", "lane": 0}
+    ramp: dict[str, object] = {"id": "ramp", "lanes": 1, "joins": into, "path": path}
+    others = [ramp, ahead] if ramp_first else [ahead, ramp]
+    chains = lane_chains(placed(main_road(70.0), *others))
+    assert [("main", 0), ("ahead", 0)] in chains
+    assert [("ramp", 0)] in chains
+
+
 @pytest.mark.parametrize("name", shipped_scenes())
 def test_chains_hold_every_lane_once_and_have_no_gap(name: str) -> None:
     roads = place_roads(load_scene(name))
