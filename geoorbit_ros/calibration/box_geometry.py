@@ -37,26 +37,27 @@ def on_plane(projection: Array, pixel: Array, z_m: Array) -> tuple[Array, Array]
 
 
 def vehicle_axes(projection: Array, heading: Array, size_m: Array) -> Array:
-    """Homogeneous image (M, 3, 3) of the vectors length, width and height of each vehicle."""
+    """Homogeneous images (M, 3, 3) of each vehicle's length, width and height, one per column."""
     axes = np.empty((len(heading), 3, 3))
     cos, sin = np.cos(heading)[:, None], np.sin(heading)[:, None]
     east, north, up = projection[:, 0], projection[:, 1], projection[:, 2]
-    axes[:, 0] = cos * east + sin * north
-    axes[:, 1] = cos * north - sin * east
-    axes[:, 2] = up
-    return np.asarray(axes * size_m[:, :, None])
+    axes[:, :, 0] = cos * east + sin * north
+    axes[:, :, 1] = cos * north - sin * east
+    axes[:, :, 2] = up
+    axes *= size_m[:, None, :]
+    return axes
 
 
 def corners(projection: Array, xy: Array, axes: Array) -> tuple[Array, Array]:
-    """Pixels (M, 8, 2) and depths (M, 8) of the corners of vehicles at `xy` (M, 2)."""
+    """Pixels (M, 2, 8) and depths (M, 8) of the corners of vehicles at `xy` (M, 2)."""
     base = xy @ projection[:, :2].T + projection[:, 3]
-    uvw = CORNER @ axes + base[:, None, :]
-    return uvw[..., :2] / uvw[..., 2:], uvw[..., 2]
+    uvw = (axes.reshape(-1, 3) @ CORNER.T).reshape(-1, 3, 8) + base[:, :, None]
+    return uvw[:, :2] / uvw[:, 2:], uvw[:, 2]
 
 
 def edges(uv: Array) -> Array:
-    """Left, top, right, bottom (M, 4) of the boxes round corners (M, 8, 2)."""
-    return np.concatenate((uv.min(axis=1), uv.max(axis=1)), axis=1)
+    """Left, top, right, bottom (M, 4) of the boxes round corners (M, 2, 8)."""
+    return np.concatenate((uv.min(axis=2), uv.max(axis=2)), axis=1)
 
 
 def edge_slopes(
@@ -68,7 +69,7 @@ def edge_slopes(
 
     Args:
         projection: (3, 4).
-        uv: (M, 8, 2) corners in pixels.
+        uv: (M, 2, 8) corners in pixels.
         depth: (M, 8) of the corners.
         axes: (M, 3, 3) from `vehicle_axes`.
         size_m: (M, 3) length, width, height that `axes` were made with.
@@ -77,12 +78,11 @@ def edge_slopes(
         Edges (M, 4), left, top, right, bottom; their slopes with x and y (M, 4, 2); their slopes
         with length, width and height (M, 4, 3). Pixels, pixels per metre.
     """
-    touching = np.concatenate((uv.argmin(axis=1), uv.argmax(axis=1)), axis=1)
+    touching = np.concatenate((uv.argmin(axis=2), uv.argmax(axis=2)), axis=1)
     row = np.arange(len(uv))[:, None]
-    edge = uv[row, touching, COORDINATE]
+    edge = uv[row, COORDINATE, touching]
     scale = 1.0 / depth[row, touching][:, :, None]
-    moved = axes[:, None, :, 2] * -edge[:, :, None]
-    moved += axes.transpose(0, 2, 1)[:, COORDINATE]
+    moved = axes[:, COORDINATE] - edge[:, :, None] * axes[:, 2:]
     with_position = projection[COORDINATE, :2] - edge[:, :, None] * projection[2, :2]
     with_size = CORNER[touching] * moved / size_m[:, None, :]
     return edge, with_position * scale, with_size * scale

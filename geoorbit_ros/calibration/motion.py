@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-ACCELERATION_PSD = 2.0
-"""m^2/s^3: a change of 1.4 m/s in speed within one second is ordinary traffic."""
+ACCELERATION_PSD = 5.0
+"""m^2/s^3: velocities change by 2.2 m/s within a second, between open road and street corner."""
 FIRST_SPEED_SIGMA = 20.0
 """m/s, 1-sigma of the speed of a vehicle about which nothing is known."""
 MODEL_SIGMA_M = 0.05

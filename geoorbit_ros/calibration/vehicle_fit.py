@@ -90,7 +90,7 @@ def fit_vehicles(
     shaped = solid & ~np.isnan(heading)
     axes = vehicle_axes(projection, np.where(shaped, heading, 0.0), size_m)
     if not shaped.all():
-        axes[~shaped, :2] = 0.0
+        axes[~shaped, :, :2] = 0.0
         axes[~solid] = 0.0
     first, ahead = on_plane(projection, centre, np.where(solid, size_m[:, 2] / 2, 0.0))
     uv, depth = corners(projection, first, axes)
@@ -110,9 +110,9 @@ def fit_vehicles(
     xy = first
     measured = np.concatenate((centre - half, centre + half), axis=1)
     for step in range(STEPS):
-        if step:
+        if step > 0:
             edge = edges(corners(projection, xy, axes)[0])
-        xy = xy + (gain @ (measured - edge)[:, :, None])[:, :, 0]
+        xy = xy + (gain * (measured - edge)[:, None, :]).sum(axis=2)
     noise = (gain * white[:, None, :]) @ gain.transpose(0, 2, 1)
 
     reached = xy @ projection[2, :2] + projection[2, 3]
