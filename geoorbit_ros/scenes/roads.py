@@ -89,10 +89,9 @@ def lane_chains(placed: dict[str, PlacedRoad]) -> list[list[LaneKey]]:
     first_choice = {lane: nexts[0] for lane, nexts in after.items() if nexts}
     continued: dict[LaneKey, LaneKey] = {}
     for lane, follower in first_choice.items():
-        # Two lanes into one: the road itself continues, the ramp ends.
-        straight = placed[follower[0]].road.follows == lane[0]
-        if follower not in continued.values() or straight:
-            continued = {a: b for a, b in continued.items() if b != follower}
+        # Two lanes into one: the road itself continues, the ramp ends. A ramp comes later in
+        # `placed`, because it is placed at the road that it joins.
+        if follower not in continued.values():
             continued[lane] = follower
     begins = [lane for lane in after if lane not in continued.values()]
     chains = []
