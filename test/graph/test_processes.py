@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
+from made_up_camera import MadeUpCamera
 from rclpy.node import Node
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -83,8 +84,10 @@ def fleet(tmp_path: Path) -> Iterator[Fleet]:
             process.wait()
 
 
-def test_four_processes_give_the_bytes_of_the_offline_command(fleet, camera, tmp_path):
-    lossless = {"reliability": "reliable", "queue_depth": 0, "use_sim_time": "true"}
+def test_four_processes_give_the_bytes_of_the_offline_command(
+    fleet: Fleet, camera: MadeUpCamera, tmp_path: Path
+) -> None:
+    lossless: dict[str, Any] = {"reliability": "reliable", "queue_depth": 0, "use_sim_time": "true"}
     database = tmp_path / "t.db"
     fleet.start("homography", calibration_file=camera.calibration, **lossless)
     fleet.start("lane_geometry", **lossless)
@@ -124,7 +127,9 @@ def test_four_processes_give_the_bytes_of_the_offline_command(fleet, camera, tmp
         assert [content.frames for content in reader.cameras()] == [len(camera.frames)]
 
 
-def test_a_bad_parameter_ends_the_process_with_one_sentence(fleet, camera):
+def test_a_bad_parameter_ends_the_process_with_one_sentence(
+    fleet: Fleet, camera: MadeUpCamera
+) -> None:
     fleet.start("homography", calibration_file=camera.calibration, image_width=-5)
     process = fleet.processes.pop("homography")
     assert process.wait(LIMIT_S) == 2

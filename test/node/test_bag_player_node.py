@@ -3,9 +3,11 @@
 import shutil
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from made_up_camera import MadeUpCamera
 from probe import KEEP_ALL, Probe
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
@@ -15,22 +17,25 @@ from std_srvs.srv import SetBool
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE
 from geoorbit_ros.nodes.bag_player import CLOCK_QOS, BagPlayerNode
+from geoorbit_ros.nodes.composition import Composition
 from geoorbit_ros.storage.bag_reader import bag_messages
 
 LOSSLESS = {"queue_depth": 0, "rate": 0.0}
 
 
-def start(nodes, camera, **overrides) -> BagPlayerNode:
+def start(nodes: Composition, camera: MadeUpCamera, **overrides: object) -> BagPlayerNode:
     return nodes.make(BagPlayerNode, "", LOSSLESS | {"bag": str(camera.bag)} | overrides)
 
 
-def listen_raw(probe, topic: str) -> list[bytes]:
+def listen_raw(probe: Probe, topic: str) -> list[bytes]:
     heard: list[bytes] = []
     probe.node.create_subscription(PointCloud2, topic, heard.append, KEEP_ALL, raw=True)
     return heard
 
 
-def test_every_message_arrives_as_recorded_and_in_order(nodes, camera):
+def test_every_message_arrives_as_recorded_and_in_order(
+    nodes: Composition, camera: MadeUpCamera
+) -> None:
     probe = Probe(nodes)
     heard = listen_raw(probe, "tracks_px")
     finished = probe.listen("/bag_player/finished", UInt64)
@@ -41,12 +46,16 @@ def test_every_message_arrives_as_recorded_and_in_order(nodes, camera):
     assert node.done
 
 
-def test_the_clock_shows_the_recordings_time_and_never_runs_back(nodes, camera):
+def test_the_clock_shows_the_recordings_time_and_never_runs_back(
+    nodes: Composition, camera: MadeUpCamera
+) -> None:
     probe = Probe(nodes)
     ticks: list[int] = []
-    probe.node.create_subscription(
-        Clock, "/clock", lambda m: ticks.append(m.clock.sec * 10**9 + m.clock.nanosec), CLOCK_QOS
-    )
+
+    def tick(message: Clock) -> None:
+        ticks.append(message.clock.sec * 10**9 + message.clock.nanosec)
+
+    probe.node.create_subscription(Clock, "/clock", tick, CLOCK_QOS)
     heard = probe.listen_tables("tracks_px", PIXEL_TRACK_DTYPE)
     start(nodes, camera, rate=50.0)
     probe.until(lambda: len(heard) == len(camera.frames), "all messages")
@@ -57,7 +66,7 @@ def test_the_clock_shows_the_recordings_time_and_never_runs_back(nodes, camera):
     assert len(set(ticks)) > 20, "time flows between messages"
 
 
-def test_time_passes_at_the_rate_asked_for(nodes, camera):
+def test_time_passes_at_the_rate_asked_for(nodes: Composition, camera: MadeUpCamera) -> None:
     probe = Probe(nodes)
     heard = listen_raw(probe, "tracks_px")
     node = start(nodes, camera, rate=20.0)
@@ -68,7 +77,9 @@ def test_time_passes_at_the_rate_asked_for(nodes, camera):
     assert time.monotonic() - begin >= recorded_s / 20.0 - 0.1, "never faster than asked"
 
 
-def test_it_waits_for_subscribers_but_not_for_ever(nodes, camera):
+def test_it_waits_for_subscribers_but_not_for_ever(
+    nodes: Composition, camera: MadeUpCamera
+) -> None:
     node = start(nodes, camera, wait_timeout_s=0.5)
     begin = time.monotonic()
     nodes.wait(lambda: node.done, 20, "the end")
@@ -76,7 +87,9 @@ def test_it_waits_for_subscribers_but_not_for_ever(nodes, camera):
     assert node.diagnostics.published == len(camera.frames)
 
 
-def test_pause_holds_and_resume_goes_on_where_it_was(nodes, camera):
+def test_pause_holds_and_resume_goes_on_where_it_was(
+    nodes: Composition, camera: MadeUpCamera
+) -> None:
     probe = Probe(nodes)
     heard = listen_raw(probe, "tracks_px")
     node = start(nodes, camera, start_paused=True)
@@ -88,7 +101,9 @@ def test_pause_holds_and_resume_goes_on_where_it_was(nodes, camera):
     probe.until(lambda: node.done and len(heard) == len(camera.frames), "all messages")
 
 
-def test_another_camera_name_an_offset_and_chosen_topics(nodes, camera):
+def test_another_camera_name_an_offset_and_chosen_topics(
+    nodes: Composition, camera: MadeUpCamera
+) -> None:
     probe = Probe(nodes, namespace="south")
     heard = listen_raw(probe, "tracks_px")
     node = start(nodes, camera, camera_id="south", start_offset_s=5.0, topics="/north/tracks_px")
@@ -97,7 +112,7 @@ def test_another_camera_name_an_offset_and_chosen_topics(nodes, camera):
     probe.until(lambda: len(heard) == len(camera.frames) - left_out, "the rest")
 
 
-def test_a_loop_begins_again(nodes, camera):
+def test_a_loop_begins_again(nodes: Composition, camera: MadeUpCamera) -> None:
     probe = Probe(nodes)
     heard = listen_raw(probe, "tracks_px")
     node = start(nodes, camera, loop=True)
@@ -116,14 +131,18 @@ def test_a_loop_begins_again(nodes, camera):
         ({"topics": "/other"}, ("no message to play",)),
     ],
 )
-def test_a_bad_start_is_one_sentence(nodes, camera, overrides, words):
+def test_a_bad_start_is_one_sentence(
+    nodes: Composition, camera: MadeUpCamera, overrides: dict[str, Any], words: tuple[str, ...]
+) -> None:
     with pytest.raises(GeoOrbitError) as caught:
         start(nodes, camera, **overrides)
     assert "\n" not in str(caught.value)
     assert all(word in str(caught.value) for word in words), str(caught.value)
 
 
-def test_a_bag_that_breaks_off_ends_in_a_sentence(nodes, camera, tmp_path: Path):
+def test_a_bag_that_breaks_off_ends_in_a_sentence(
+    nodes: Composition, camera: MadeUpCamera, tmp_path: Path
+) -> None:
     broken = tmp_path / "broken"
     shutil.copytree(camera.bag, broken)
     recording = next(broken.glob("*.mcap"))

@@ -1,5 +1,7 @@
 """Serialised messages are what rclpy reads, for every frame name and number of poses."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseArray
@@ -25,24 +27,25 @@ from geoorbit_ros.conversions import (
 )
 from geoorbit_ros.core.errors import MessageError
 
-frame_ids = st.text(st.characters(min_codepoint=1, exclude_categories=("Cs",)), max_size=20)
+letters = st.characters(min_codepoint=1, exclude_categories=["Cs"])
+frame_ids = st.text(letters, max_size=20)
 poses = st.lists(st.tuples(*[st.floats(-1e6, 1e6)] * 2, st.floats(-3.2, 3.2)), max_size=9)
 stamps = st.integers(0, 2**31 * 10**9 - 1)
 
 
-def columns(values):
+def columns(values: list[Any]) -> tuple[Any, Any]:
     array = np.array(values, dtype=np.float64).reshape(-1, 3)
     return array[:, :2], array[:, 2]
 
 
-def in_poses(message_poses):
+def in_poses(message_poses: Any) -> list[Any]:
     return [
         (p.position.x, p.position.y, 2 * np.arctan2(p.orientation.z, p.orientation.w))
         for p in message_poses
     ]
 
 
-def same(found, values):
+def same(found: list[Any], values: list[Any]) -> None:
     assert len(found) == len(values)
     for (x, y, heading), expected in zip(found, values, strict=True):
         assert (x, y) == expected[:2]
@@ -50,7 +53,7 @@ def same(found, values):
 
 
 @given(stamps, frame_ids, poses)
-def test_pose_arrays_read_back(stamp_ns, frame_id, values):
+def test_pose_arrays_read_back(stamp_ns: int, frame_id: str, values: list[Any]) -> None:
     message = deserialize_message(
         encode_pose_array(stamp_ns, frame_id, *columns(values)), PoseArray
     )
@@ -60,7 +63,9 @@ def test_pose_arrays_read_back(stamp_ns, frame_id, values):
 
 
 @given(stamps, frame_ids, poses)
-def test_paths_read_back_with_the_header_in_every_pose(stamp_ns, frame_id, values):
+def test_paths_read_back_with_the_header_in_every_pose(
+    stamp_ns: int, frame_id: str, values: list[Any]
+) -> None:
     message = deserialize_message(encode_path(stamp_ns, frame_id, *columns(values)), Path)
     assert message.header.frame_id == frame_id
     assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamp_ns
@@ -68,14 +73,14 @@ def test_paths_read_back_with_the_header_in_every_pose(stamp_ns, frame_id, value
     same(in_poses(stamped.pose for stamped in message.poses), values)
 
 
-@given(st.text(st.characters(min_codepoint=1, exclude_categories=("Cs",))))
-def test_strings_read_back_here_and_in_rclpy(text):
+@given(st.text(letters))
+def test_strings_read_back_here_and_in_rclpy(text: str) -> None:
     assert deserialize_message(encode_string(text), String).data == text
     assert decode_string(serialize_message(String(data=text)), "topic") == text
 
 
 @given(st.binary(max_size=40))
-def test_bytes_that_are_no_string_are_refused_by_name(cdr):
+def test_bytes_that_are_no_string_are_refused_by_name(cdr: bytes) -> None:
     try:
         decode_string(cdr, "/cam/lanes/geojson")
     except MessageError as error:
@@ -83,25 +88,25 @@ def test_bytes_that_are_no_string_are_refused_by_name(cdr):
 
 
 @given(stamps)
-def test_the_clock_reads_back(stamp_ns):
+def test_the_clock_reads_back(stamp_ns: int) -> None:
     clock = deserialize_message(encode_clock(stamp_ns), Clock).clock
     assert clock.sec * 10**9 + clock.nanosec == stamp_ns
 
 
 @given(st.floats(-90, 90), st.floats(-180, 180))
-def test_the_datum_survives_the_message_exactly(latitude, longitude):
+def test_the_datum_survives_the_message_exactly(latitude: float, longitude: float) -> None:
     datum = Datum(latitude, longitude)
     cdr = serialize_message(datum_to_fix(datum, "map"))
     assert datum_from_fix(deserialize_message(cdr, NavSatFix), "datum") == datum
 
 
 @pytest.mark.parametrize("latitude", [float("nan"), 90.5, float("inf")])
-def test_a_fix_without_a_position_is_refused(latitude):
+def test_a_fix_without_a_position_is_refused(latitude: float) -> None:
     with pytest.raises(MessageError, match="/cam/datum"):
         datum_from_fix(NavSatFix(latitude=latitude), "/cam/datum")
 
 
-def test_headings_follow_the_line_and_turn_with_it():
+def test_headings_follow_the_line_and_turn_with_it() -> None:
     angle = np.linspace(0, np.pi / 2, 40)
     line = 100 * np.column_stack((np.sin(angle), 1 - np.cos(angle)))
     assert np.allclose(path_headings(line), angle, atol=0.03)
@@ -110,7 +115,7 @@ def test_headings_follow_the_line_and_turn_with_it():
     assert np.allclose(difference, np.pi / 2)
 
 
-def test_message_classes_are_found_by_name():
+def test_message_classes_are_found_by_name() -> None:
     assert message_class("sensor_msgs/msg/PointCloud2") is PointCloud2
     assert message_class("not_there_msgs/msg/Thing") is None
     assert message_class("sensor_msgs/msg/NoSuchThing") is None

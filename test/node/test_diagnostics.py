@@ -4,12 +4,13 @@ import numpy as np
 from probe import LOSSLESS, Probe
 
 from geoorbit_ros.core.tables import TRACK_DTYPE
+from geoorbit_ros.nodes.composition import Composition
 from geoorbit_ros.nodes.lane_geometry import LaneGeometryNode
 
 FRAME_NS = 33_333_333
 
 
-def test_counts_rate_latency_and_missing_frames(nodes):
+def test_counts_rate_latency_and_missing_frames(nodes: Composition) -> None:
     node = nodes.make(LaneGeometryNode, "north", LOSSLESS)
     probe = Probe(nodes)
     send = probe.table_publisher("tracks")
@@ -28,7 +29,7 @@ def test_counts_rate_latency_and_missing_frames(nodes):
     assert (quiet["level"], quiet["rate_hz"]) == ("0", "0.0")
 
 
-def test_they_come_although_simulated_time_stands_still(nodes):
+def test_they_come_although_simulated_time_stands_still(nodes: Composition) -> None:
     nodes.make(LaneGeometryNode, "north", LOSSLESS | {"use_sim_time": True})
     status = Probe(nodes).status_of("/north/lane_geometry")
     assert status["message"] == "nothing received yet"

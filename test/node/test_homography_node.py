@@ -1,8 +1,12 @@
 """The homography node: the same numbers as the projector, frame by frame, whatever comes in."""
 
+from functools import partial
+from typing import Any
+
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseArray
+from made_up_camera import MadeUpCamera
 from probe import KEEP_ALL, LOSSLESS, Probe
 from sensor_msgs.msg import NavSatFix, PointCloud2
 from std_msgs.msg import String
@@ -19,12 +23,18 @@ from geoorbit_ros.storage.pointcloud2 import encode_table
 FRAMES = 60
 
 
-def start(nodes, camera, **overrides) -> HomographyNode:
+def start(nodes: Composition, camera: MadeUpCamera, **overrides: object) -> HomographyNode:
     given = LOSSLESS | {"calibration_file": str(camera.calibration)} | overrides
     return nodes.make(HomographyNode, camera.camera_id, given)
 
 
-def test_tracks_are_bit_for_bit_those_of_the_projector(nodes, camera):
+def refused(node: HomographyNode, count: int) -> bool:
+    return node.diagnostics.refused == count
+
+
+def test_tracks_are_bit_for_bit_those_of_the_projector(
+    nodes: Composition, camera: MadeUpCamera
+) -> None:
     node = start(nodes, camera)
     probe = Probe(nodes)
     tracks = probe.listen_tables("tracks", TRACK_DTYPE)
@@ -48,7 +58,7 @@ def test_tracks_are_bit_for_bit_those_of_the_projector(nodes, camera):
     assert sum(len(rows) for _, _, rows in tracks) > FRAMES
 
 
-def test_the_datum_reaches_a_late_joiner_exactly(nodes, camera):
+def test_the_datum_reaches_a_late_joiner_exactly(nodes: Composition, camera: MadeUpCamera) -> None:
     start(nodes, camera)
     for _ in range(5):
         nodes.spin()
@@ -59,7 +69,7 @@ def test_the_datum_reaches_a_late_joiner_exactly(nodes, camera):
     assert (fixes[0].latitude, fixes[0].longitude) == (datum.latitude_deg, datum.longitude_deg)
 
 
-def test_an_empty_frame_stays_a_frame(nodes, camera):
+def test_an_empty_frame_stays_a_frame(nodes: Composition, camera: MadeUpCamera) -> None:
     node = start(nodes, camera)
     probe = Probe(nodes)
     tracks = probe.listen_tables("tracks", TRACK_DTYPE)
@@ -70,7 +80,9 @@ def test_an_empty_frame_stays_a_frame(nodes, camera):
     assert len(tracks[0][2]) == 0
 
 
-def test_what_can_not_be_used_is_refused_with_a_reason_and_the_node_lives_on(nodes, camera):
+def test_what_can_not_be_used_is_refused_with_a_reason_and_the_node_lives_on(
+    nodes: Composition, camera: MadeUpCamera
+) -> None:
     node = start(nodes, camera)
     probe = Probe(nodes)
     tracks = probe.listen_tables("tracks", TRACK_DTYPE)
@@ -86,7 +98,7 @@ def test_what_can_not_be_used_is_refused_with_a_reason_and_the_node_lives_on(nod
     publisher.publish(good)
     for n, (reason, cdr) in enumerate(bad.items(), 1):
         publisher.publish(cdr)
-        probe.until(lambda n=n: node.diagnostics.refused == n, "the refusal")
+        probe.until(partial(refused, node, n), "the refusal")
         assert "/north/tracks_px" in str(node.diagnostics.last_refusal)
         assert reason in str(node.diagnostics.last_refusal)
     publisher.publish(encode_table(3 * 10**9, "c", rows))
@@ -97,7 +109,7 @@ def test_what_can_not_be_used_is_refused_with_a_reason_and_the_node_lives_on(nod
     assert status["last_refusal"] == str(node.diagnostics.last_refusal)
 
 
-def test_a_publisher_of_another_type_is_named(nodes, camera):
+def test_a_publisher_of_another_type_is_named(nodes: Composition, camera: MadeUpCamera) -> None:
     start(nodes, camera)
     # A context of its own: one DDS participant keeps one type per topic.
     with Composition(nodes.domain_id, quiet=True) as others:
@@ -111,7 +123,7 @@ def test_a_publisher_of_another_type_is_named(nodes, camera):
     assert status["level"] == "1"
 
 
-def test_a_source_that_starts_again_is_followed(nodes, camera):
+def test_a_source_that_starts_again_is_followed(nodes: Composition, camera: MadeUpCamera) -> None:
     node = start(nodes, camera)
     probe = Probe(nodes)
     tracks = probe.listen_tables("tracks", TRACK_DTYPE)
@@ -127,7 +139,7 @@ def test_a_source_that_starts_again_is_followed(nodes, camera):
     assert node.diagnostics.refused == 0
 
 
-def test_diagnostics_name_every_control_point(nodes, camera):
+def test_diagnostics_name_every_control_point(nodes: Composition, camera: MadeUpCamera) -> None:
     start(nodes, camera)
     status = Probe(nodes).status_of("/north/homography")
     lines = [key for key in status if key.startswith("control_point_line_")]
@@ -144,7 +156,9 @@ def test_diagnostics_name_every_control_point(nodes, camera):
         ({"datum_latitude_deg": 43.0}, ("/north/homography", "both latitude and longitude")),
     ],
 )
-def test_a_bad_start_is_one_sentence(nodes, camera, overrides, words):
+def test_a_bad_start_is_one_sentence(
+    nodes: Composition, camera: MadeUpCamera, overrides: dict[str, Any], words: tuple[str, ...]
+) -> None:
     with pytest.raises(GeoOrbitError) as caught:
         start(nodes, camera, **overrides)
     assert "\n" not in str(caught.value)

@@ -1,11 +1,14 @@
 """The lane_geometry node: what it publishes agrees with itself and with the offline mapper."""
 
 import json
+from typing import Any
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseArray
+from made_up_camera import MadeUpCamera
 from nav_msgs.msg import Path
+from numpy.typing import NDArray
 from probe import LOSSLESS, Probe
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
@@ -24,15 +27,17 @@ from geoorbit_ros.lanes.factory import make_estimator
 from geoorbit_ros.lanes.geojson import dumps_lanes
 from geoorbit_ros.lanes.mapper import LaneMapper
 from geoorbit_ros.lanes.parameters import LaneParameters
+from geoorbit_ros.nodes.composition import Composition
 from geoorbit_ros.nodes.lane_geometry import LaneGeometryNode
 from geoorbit_ros.nodes.latched import LATCHED
 
 DATUM = Datum(43.05, -89.35)
 LANES = (1, 2, 3)
+Tracks = list[tuple[int, NDArray[np.void]]]
 
 
 @pytest.fixture(scope="module")
-def tracks(camera):
+def tracks(camera: MadeUpCamera) -> Tracks:
     """Ground tracks of the made-up camera: (stamp_ns, rows) per frame."""
     projector = BoxProjector(
         fit_homography(read_control_points(camera.calibration)), camera.image_size
@@ -43,35 +48,37 @@ def tracks(camera):
     ]
 
 
-def start(nodes, **overrides) -> LaneGeometryNode:
+def start(nodes: Composition, **overrides: object) -> LaneGeometryNode:
     return nodes.make(LaneGeometryNode, "north", LOSSLESS | overrides)
 
 
-def feed(node, probe, tracks):
+def feed(node: Any, probe: Probe, tracks: Tracks) -> None:
     send = probe.table_publisher("tracks")
     for stamp_ns, rows in tracks:
         send(stamp_ns, rows)
     probe.until(lambda: node.frames == len(tracks), "all frames")
 
 
-def give_datum(probe, node):
+def give_datum(probe: Probe, node: Any) -> None:
     probe.publisher("datum", NavSatFix, LATCHED).publish(datum_to_fix(DATUM, "map"))
     probe.until(lambda: node.datum == DATUM, "the datum")
 
 
-def update(probe) -> Trigger.Response:
+def update(probe: Probe) -> Trigger.Response:
     return probe.call("lane_geometry/update", Trigger, Trigger.Request())
 
 
-def headings(poses) -> np.ndarray:
+def headings(poses: Any) -> np.ndarray:
     return np.array([2 * np.arctan2(p.orientation.z, p.orientation.w) for p in poses])
 
 
-def positions(poses) -> np.ndarray:
+def positions(poses: Any) -> np.ndarray:
     return np.array([(p.position.x, p.position.y) for p in poses])
 
 
-def test_one_pose_per_lane_on_its_path_and_along_it_for_a_late_joiner(nodes, tracks):
+def test_one_pose_per_lane_on_its_path_and_along_it_for_a_late_joiner(
+    nodes: Composition, tracks: Tracks
+) -> None:
     node, probe = start(nodes), Probe(nodes)
     feed(node, probe, tracks)
     assert update(probe).success
@@ -106,7 +113,7 @@ def test_one_pose_per_lane_on_its_path_and_along_it_for_a_late_joiner(nodes, tra
         assert sides["left"] > 0 > sides["right"], "left is to the driver's left"
 
 
-def test_the_map_is_bit_for_bit_the_offline_one(nodes, tracks):
+def test_the_map_is_bit_for_bit_the_offline_one(nodes: Composition, tracks: Tracks) -> None:
     node, probe = start(nodes), Probe(nodes)
     give_datum(probe, node)
     texts = probe.listen("lanes/geojson", String)
@@ -121,7 +128,9 @@ def test_the_map_is_bit_for_bit_the_offline_one(nodes, tracks):
     assert [text.data for text in texts] == expected
 
 
-def test_lanes_are_stamped_with_the_data_not_with_the_clock(nodes, tracks):
+def test_lanes_are_stamped_with_the_data_not_with_the_clock(
+    nodes: Composition, tracks: Tracks
+) -> None:
     node, probe = start(nodes), Probe(nodes)
     lanes = probe.listen("lanes", PoseArray)
     feed(node, probe, tracks)
@@ -132,7 +141,9 @@ def test_lanes_are_stamped_with_the_data_not_with_the_clock(nodes, tracks):
     assert set(stamps) <= {stamp_ns for stamp_ns, _ in tracks}
 
 
-def test_markers_start_with_a_clean_slate_and_tell_every_lane(nodes, tracks):
+def test_markers_start_with_a_clean_slate_and_tell_every_lane(
+    nodes: Composition, tracks: Tracks
+) -> None:
     node, probe = start(nodes), Probe(nodes)
     feed(node, probe, tracks)
     update(probe)
@@ -147,7 +158,9 @@ def test_markers_start_with_a_clean_slate_and_tell_every_lane(nodes, tracks):
     assert all(len(marker.points) >= 2 for marker in lines)
 
 
-def test_without_a_datum_there_are_lanes_but_no_geojson_until_it_comes(nodes, tracks):
+def test_without_a_datum_there_are_lanes_but_no_geojson_until_it_comes(
+    nodes: Composition, tracks: Tracks
+) -> None:
     node, probe = start(nodes), Probe(nodes)
     texts = probe.listen("lanes/geojson", String)
     lanes = probe.listen("lanes", PoseArray)
@@ -160,7 +173,9 @@ def test_without_a_datum_there_are_lanes_but_no_geojson_until_it_comes(nodes, tr
     assert json.loads(texts[0].data)["geoorbit"]["stamp_ns"] == tracks[-1][0]
 
 
-def test_a_lane_that_is_gone_leaves_an_empty_path_then_no_topic(nodes, tracks):
+def test_a_lane_that_is_gone_leaves_an_empty_path_then_no_topic(
+    nodes: Composition, tracks: Tracks
+) -> None:
     node, probe = start(nodes), Probe(nodes)
     paths = probe.listen("lanes/lane_1/centerline", Path)
     lanes = probe.listen("lanes", PoseArray)
@@ -181,7 +196,7 @@ def test_a_lane_that_is_gone_leaves_an_empty_path_then_no_topic(nodes, tracks):
     )
 
 
-def test_empty_frames_and_wrong_ones_do_no_harm(nodes, tracks):
+def test_empty_frames_and_wrong_ones_do_no_harm(nodes: Composition, tracks: Tracks) -> None:
     node, probe = start(nodes), Probe(nodes)
     assert not update(probe).success, "no frame yet"
     send = probe.table_publisher("tracks")
@@ -196,10 +211,12 @@ def test_empty_frames_and_wrong_ones_do_no_harm(nodes, tracks):
     assert answer.message == "0 lanes from 2 frames"
 
 
-def test_detection_parameters_change_while_running_and_only_within_bounds(nodes, tracks):
+def test_detection_parameters_change_while_running_and_only_within_bounds(
+    nodes: Composition, tracks: Tracks
+) -> None:
     node, probe = start(nodes), Probe(nodes)
 
-    def set_to(name: str, value: object):
+    def set_to(name: str, value: object) -> Any:
         request = SetParameters.Request()
         request.parameters = [Parameter(name, value=value).to_parameter_msg()]
         return probe.call("lane_geometry/set_parameters", SetParameters, request).results[0]

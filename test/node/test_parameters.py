@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -10,6 +11,7 @@ from rclpy.parameter import Parameter
 
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.nodes.bag_player import BagPlayerNode
+from geoorbit_ros.nodes.composition import Composition
 from geoorbit_ros.nodes.homography import HomographyNode
 from geoorbit_ros.nodes.lane_geometry import LaneGeometryNode, LaneGeometryParameters
 from geoorbit_ros.nodes.recorder import RecorderNode
@@ -19,7 +21,7 @@ PARAMS = Path(__file__).parents[2] / "params"
 KINDS = {"bool": "bool", "int": "int", "double": "float", "string": "str"}
 
 
-def declare(nodes, **overrides) -> NodeParameters[LaneGeometryParameters]:
+def declare(nodes: Composition, **overrides: object) -> NodeParameters[LaneGeometryParameters]:
     values = [Parameter(key, value=value) for key, value in overrides.items()]
     node = Node("n", context=nodes.context, namespace="cam", parameter_overrides=values)
     nodes.add(node)
@@ -29,7 +31,7 @@ def declare(nodes, **overrides) -> NodeParameters[LaneGeometryParameters]:
 @pytest.mark.parametrize(
     "node_class", [BagPlayerNode, HomographyNode, LaneGeometryNode, RecorderNode]
 )
-def test_struct_and_schema_name_the_same_parameters_with_the_same_types(node_class):
+def test_struct_and_schema_name_the_same_parameters_with_the_same_types(node_class: Any) -> None:
     schema = {spec.name: KINDS[spec.kind] for spec in load_schema(node_class.name)}
     assert {f.name: f.type for f in fields(node_class.struct)} == schema
 
@@ -37,13 +39,13 @@ def test_struct_and_schema_name_the_same_parameters_with_the_same_types(node_cla
 @pytest.mark.parametrize(
     "node_class", [BagPlayerNode, HomographyNode, LaneGeometryNode, RecorderNode]
 )
-def test_defaults_satisfy_their_own_schema_unless_they_must_be_given(node_class):
+def test_defaults_satisfy_their_own_schema_unless_they_must_be_given(node_class: Any) -> None:
     for spec in load_schema(node_class.name):
         if not spec.not_empty or spec.default:
             assert spec.checked(spec.default, "default") is not None
 
 
-def test_the_sample_file_holds_known_parameters_within_their_bounds():
+def test_the_sample_file_holds_known_parameters_within_their_bounds() -> None:
     content = yaml.safe_load((PARAMS / "camera.yaml").read_text())
     assert content
     for key, entry in content.items():
@@ -52,7 +54,7 @@ def test_the_sample_file_holds_known_parameters_within_their_bounds():
             schema[name].checked(value, key)
 
 
-def test_overrides_reach_the_struct_and_whole_numbers_become_doubles(nodes):
+def test_overrides_reach_the_struct_and_whole_numbers_become_doubles(nodes: Composition) -> None:
     parameters = declare(nodes, update_period_s=3, estimator="geolane").value
     assert (parameters.update_period_s, parameters.estimator) == (3.0, "geolane")
     assert type(parameters.update_period_s) is float
@@ -73,8 +75,8 @@ def test_overrides_reach_the_struct_and_whole_numbers_become_doubles(nodes):
     ],
 )
 def test_a_bad_value_names_node_parameter_value_and_expectation(
-    nodes, name, value, found, expected
-):
+    nodes: Composition, name: str, value: Any, found: str, expected: str
+) -> None:
     with pytest.raises(ParameterError) as caught:
         declare(nodes, **{name: value})
     assert str(caught.value) == (
@@ -82,7 +84,7 @@ def test_a_bad_value_names_node_parameter_value_and_expectation(
     )
 
 
-def test_a_refused_change_leaves_all_parameters_as_they_were(nodes):
+def test_a_refused_change_leaves_all_parameters_as_they_were(nodes: Composition) -> None:
     parameters = declare(nodes)
     before = parameters.value
     node = parameters_node(nodes)
@@ -95,11 +97,11 @@ def test_a_refused_change_leaves_all_parameters_as_they_were(nodes):
     assert parameters.value.angle == 0.9
 
 
-def parameters_node(nodes) -> Node:
+def parameters_node(nodes: Composition) -> Node:
     return nodes._nodes[-1]
 
 
-def test_a_struct_that_is_not_its_schema_is_refused(nodes):
+def test_a_struct_that_is_not_its_schema_is_refused(nodes: Composition) -> None:
     @dataclass(frozen=True)
     class Other:
         estimator: str

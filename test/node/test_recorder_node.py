@@ -1,5 +1,7 @@
 """The recorder: what was on the topics is in the database, and nothing else."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from probe import LOSSLESS, Probe
@@ -7,6 +9,7 @@ from std_msgs.msg import String
 
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.core.tables import TRACK_DTYPE
+from geoorbit_ros.nodes.composition import Composition
 from geoorbit_ros.nodes.latched import LATCHED
 from geoorbit_ros.nodes.recorder import DAY_NS, RecorderNode
 from geoorbit_ros.storage.database import TrajectoryReader
@@ -21,12 +24,14 @@ def table(n: int, first_id: int = 1) -> np.ndarray:
     return rows
 
 
-def stored(path) -> int:
+def stored(path: Path) -> int:
     with TrajectoryReader(path) as reader:
         return sum(content.frames for content in reader.cameras())
 
 
-def test_frames_are_readable_within_a_second_while_the_node_runs(nodes, tmp_path):
+def test_frames_are_readable_within_a_second_while_the_node_runs(
+    nodes: Composition, tmp_path: Path
+) -> None:
     path = tmp_path / "t.db"
     node = nodes.make(RecorderNode, "north", LOSSLESS | {"database": str(path)})
     probe = Probe(nodes)
@@ -41,7 +46,7 @@ def test_frames_are_readable_within_a_second_while_the_node_runs(nodes, tmp_path
     assert content.rows == sum(k % 4 for k in range(30))
 
 
-def test_lane_maps_are_stored_with_their_stamp(nodes, tmp_path):
+def test_lane_maps_are_stored_with_their_stamp(nodes: Composition, tmp_path: Path) -> None:
     path = tmp_path / "t.db"
     node = nodes.make(RecorderNode, "north", LOSSLESS | {"database": str(path)})
     probe = Probe(nodes)
@@ -56,7 +61,7 @@ def test_lane_maps_are_stored_with_their_stamp(nodes, tmp_path):
     assert maps == [(5 * SECOND_NS, text)]
 
 
-def test_the_same_recording_twice_is_stored_once(nodes, tmp_path):
+def test_the_same_recording_twice_is_stored_once(nodes: Composition, tmp_path: Path) -> None:
     path = tmp_path / "t.db"
     node = nodes.make(RecorderNode, "north", LOSSLESS | {"database": str(path)})
     probe = Probe(nodes)
@@ -69,7 +74,7 @@ def test_the_same_recording_twice_is_stored_once(nodes, tmp_path):
     probe.until(lambda: stored(path) == 10, "the first ten")
 
 
-def test_old_data_goes(nodes, tmp_path):
+def test_old_data_goes(nodes: Composition, tmp_path: Path) -> None:
     path = tmp_path / "t.db"
     given = LOSSLESS | {"database": str(path), "retention_days": 1.0}
     nodes.make(RecorderNode, "north", given)
@@ -90,7 +95,9 @@ def test_old_data_goes(nodes, tmp_path):
         ("north", "", ("/north/recorder", "'database'")),
     ],
 )
-def test_a_bad_start_is_one_sentence(nodes, tmp_path, namespace, database, words):
+def test_a_bad_start_is_one_sentence(
+    nodes: Composition, tmp_path: Path, namespace: str, database: str, words: tuple[str, ...]
+) -> None:
     path = str(tmp_path / database) if database else ""
     with pytest.raises(GeoOrbitError) as caught:
         nodes.make(RecorderNode, namespace, {"database": path})

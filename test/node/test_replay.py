@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from made_up_camera import MadeUpCamera
 from rclpy.node import Node
 
 from geoorbit_ros.cli.main import main
@@ -15,20 +16,22 @@ from geoorbit_ros.storage.database import TrajectoryReader
 from geoorbit_ros.storage.track_csv import read_track_csv
 
 
-def lanes(camera, out: Path, *more: str) -> bytes:
+def lanes(camera: MadeUpCamera, out: Path, *more: str) -> bytes:
     words = ["lanes", "--bag", camera.bag, "--calibration", camera.calibration, "--out", out]
     assert main([*map(str, words), *more]) == 0
     return out.read_bytes()
 
 
-def replay(camera, out: Path, *more: str) -> bytes:
+def replay(camera: MadeUpCamera, out: Path, *more: str) -> bytes:
     words = ["replay", camera.bag, "--calibration", camera.calibration, "--out", out]
     assert main([*map(str, words), *more]) == 0
     return out.read_bytes()
 
 
 @pytest.mark.parametrize("estimator", ["curvilinear", "geolane"])
-def test_replay_at_any_rate_gives_the_bytes_of_lanes(camera, tmp_path, estimator):
+def test_replay_at_any_rate_gives_the_bytes_of_lanes(
+    camera: MadeUpCamera, tmp_path: Path, estimator: str
+) -> None:
     more = ("--estimator", estimator, "--update-period-s", "2")
     expected = lanes(camera, tmp_path / "lanes.geojson", *more)
     for rate in ("0", "10", "37"):
@@ -36,7 +39,7 @@ def test_replay_at_any_rate_gives_the_bytes_of_lanes(camera, tmp_path, estimator
         assert got == expected, f"rate {rate}"
 
 
-def test_replay_can_record_every_frame(camera, tmp_path):
+def test_replay_can_record_every_frame(camera: MadeUpCamera, tmp_path: Path) -> None:
     database = tmp_path / "t.db"
     replay(camera, tmp_path / "lanes.geojson", "--rate", "0", "--database", str(database))
     with TrajectoryReader(database) as reader:
@@ -47,7 +50,9 @@ def test_replay_can_record_every_frame(camera, tmp_path):
     assert text == (tmp_path / "lanes.geojson").read_text()
 
 
-def test_a_camera_without_traffic_is_one_sentence_and_no_file(camera, tmp_path, capfd):
+def test_a_camera_without_traffic_is_one_sentence_and_no_file(
+    camera: MadeUpCamera, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     stamps = np.arange(1, 50, dtype=np.int64) * 10**8
     nothing = Frames(stamps, np.zeros(50, np.int64), np.empty(0, PIXEL_TRACK_DTYPE))
     bag = tmp_path / "quiet"
@@ -62,7 +67,7 @@ def test_a_camera_without_traffic_is_one_sentence_and_no_file(camera, tmp_path, 
     assert os.listdir(tmp_path) == ["quiet"]
 
 
-def test_a_composition_is_alone_unless_told_otherwise():
+def test_a_composition_is_alone_unless_told_otherwise() -> None:
     with Composition() as first, Composition() as second, Composition(first.domain_id) as third:
         assert first.domain_id != second.domain_id
         lone = first.add(Node("lone", context=first.context))
@@ -75,7 +80,7 @@ def test_a_composition_is_alone_unless_told_otherwise():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["Yahara", "Monona"])
-def test_real_cameras_give_the_bytes_of_lanes(name, tmp_path):
+def test_real_cameras_give_the_bytes_of_lanes(name: str, tmp_path: Path) -> None:
     shared = os.environ.get("GEOORBIT_REAL_DATA")
     if not shared:
         pytest.skip("GEOORBIT_REAL_DATA names no folder with us12/")

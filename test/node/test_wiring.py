@@ -10,11 +10,13 @@ from typing import Any
 import pytest
 import yaml
 from geometry_msgs.msg import PoseArray
+from made_up_camera import MadeUpCamera
 from probe import LOSSLESS, Probe
 from rclpy.expand_topic_name import expand_topic_name
 from std_srvs.srv import Trigger
 
 from geoorbit_ros.nodes.bag_player import BagPlayerNode
+from geoorbit_ros.nodes.composition import Composition
 from geoorbit_ros.nodes.homography import HomographyNode
 from geoorbit_ros.nodes.lane_geometry import LaneGeometryNode
 from geoorbit_ros.nodes.recorder import RecorderNode
@@ -36,7 +38,9 @@ def rviz_displays() -> list[dict[str, Any]]:
     return [display for display in displays if "Topic" in display]
 
 
-def test_every_display_finds_its_topic_with_its_type_and_quality_of_service(nodes, camera):
+def test_every_display_finds_its_topic_with_its_type_and_quality_of_service(
+    nodes: Composition, camera: MadeUpCamera
+) -> None:
     lanes = nodes.make(LaneGeometryNode, "north", LOSSLESS)
     calibration = {"calibration_file": str(camera.calibration)}
     homography = nodes.make(HomographyNode, "north", LOSSLESS | calibration)
@@ -70,7 +74,7 @@ class Recorded:
 
 
 @pytest.fixture
-def launched(monkeypatch) -> list[Recorded]:
+def launched(monkeypatch: pytest.MonkeyPatch) -> list[Recorded]:
     """The entities of the launch description; launch itself has no wheel."""
     for name in (
         "launch",
@@ -97,7 +101,7 @@ def of_kind(entities: list[Recorded], kind: str) -> list[Recorded]:
     return [entity for entity in entities if type(entity).__name__ == kind]
 
 
-def test_the_launch_file_starts_every_node_with_parameters_it_has(launched):
+def test_the_launch_file_starts_every_node_with_parameters_it_has(launched: list[Recorded]) -> None:
     started = [n.named for n in of_kind(launched, "Node") if n.named["package"] == "geoorbit_ros"]
     assert {node["executable"] for node in started} == set(NODES)
     for node in started:
@@ -107,14 +111,18 @@ def test_the_launch_file_starts_every_node_with_parameters_it_has(launched):
                 assert set(parameters) <= known
 
 
-def test_the_launch_file_declares_what_it_uses_and_uses_what_it_declares(launched):
+def test_the_launch_file_declares_what_it_uses_and_uses_what_it_declares(
+    launched: list[Recorded],
+) -> None:
     declared = {entity.arguments[0] for entity in of_kind(launched, "DeclareLaunchArgument")}
     text = (ROOT / "launch" / "geoorbit.launch.py").read_text()
     used = set(re.findall(r'LaunchConfiguration\("(\w+)"\)', text))
     assert used == declared
 
 
-def test_the_layout_and_the_sample_parameters_that_are_launched_exist(launched):
+def test_the_layout_and_the_sample_parameters_that_are_launched_exist(
+    launched: list[Recorded],
+) -> None:
     text = (ROOT / "launch" / "geoorbit.launch.py").read_text()
     for name in ("camera.yaml", "geoorbit.rviz"):
         assert name in text
