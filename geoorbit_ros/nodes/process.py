@@ -17,6 +17,8 @@ from geoorbit_ros.nodes.base import GeoOrbitNode
 SPIN_TIMEOUT_S = 0.2
 """How long a signal may go unnoticed at most."""
 
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
 
 def make_executor(context: Context | None = None) -> Executor:
     """The events executor, which costs a quarter of the usual one per message; else that.
@@ -39,10 +41,12 @@ def run_node(make: Callable[[], GeoOrbitNode[Any]], args: Sequence[str] | None =
         when something the user gave can't be used.
     """
     node = None
-    # rclpy's own handler ends the context, then calls this one. Python's would raise
-    # KeyboardInterrupt, also inside the clean-up of the C++ executor, which then aborts: a Ctrl-C
-    # under `ros2 launch` reaches a node twice.
-    signal.signal(signal.SIGINT, lambda *_: None)
+    told_to_end: list[int] = []
+    for number in SIGNALS:
+        # rclpy's handler ends the context, then calls this one. Python's own would raise
+        # KeyboardInterrupt, also inside the clean-up of the C++ executor, which then aborts: a
+        # Ctrl-C under `ros2 launch` reaches a node twice.
+        signal.signal(number, lambda received, _: told_to_end.append(received))
     try:
         rclpy.init(args=None if args is None else list(args))
         node = make()
@@ -50,16 +54,19 @@ def run_node(make: Callable[[], GeoOrbitNode[Any]], args: Sequence[str] | None =
         executor.add_node(node)
         while rclpy.ok() and not node.done:
             executor.spin_once(timeout_sec=SPIN_TIMEOUT_S)
-    except (KeyboardInterrupt, ExternalShutdownException):
+    except ExternalShutdownException:
         pass
     except GeoOrbitError as error:
         print(error, file=sys.stderr)
         return 2
+    except Exception:
+        if not told_to_end:  # else the context ended while the node was being made
+            raise
     finally:
         if node is not None:
             node.close()
             node.destroy_node()
         rclpy.try_shutdown()
-        # While it ends, Python puts back the default action, which is to kill.
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        for number in SIGNALS:  # while it ends, Python puts back the default, which is to kill
+            signal.signal(number, signal.SIG_IGN)
     return 0

@@ -177,7 +177,10 @@ def observer() -> Iterator[Node]:
     context = Context()
     rclpy.init(context=context, domain_id=DOMAIN_ID)
     node = Node("observer", context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
     yield node
+    executor.shutdown()
     node.destroy_node()
     rclpy.shutdown(context=context)
 
@@ -225,8 +228,11 @@ def test_every_executable_starts_its_node_and_ends_on_sigint(
         )
     try:
         wait_until_up(observer, processes)
-        for process in processes.values():
-            process.send_signal(signal.SIGINT)
+        # A Ctrl-C under `ros2 launch` comes from the terminal and from launch.
+        for _ in range(2):
+            for process in processes.values():
+                process.send_signal(signal.SIGINT)
+            observer.executor.spin_once(timeout_sec=0.02)
         output = {name: process.communicate(timeout=30)[0] for name, process in processes.items()}
     finally:
         for process in processes.values():
@@ -238,12 +244,9 @@ def test_every_executable_starts_its_node_and_ends_on_sigint(
 
 def wait_until_up(observer: Node, processes: dict[str, "subprocess.Popen[str]"]) -> None:
     """Spin until the graph shows a node for every process; fails when one ended or none came."""
-    executor = SingleThreadedExecutor(context=observer.context)
-    executor.add_node(observer)
     deadline = time.monotonic() + 60
     while missing := set(processes) - set(observer.get_node_names()):
         for name, process in processes.items():
             assert process.poll() is None, f"{name} ended: {process.communicate()[0]}"
         assert time.monotonic() < deadline, f"not in the graph after 60 s: {missing}"
-        executor.spin_once(timeout_sec=0.1)
-    executor.shutdown()
+        observer.executor.spin_once(timeout_sec=0.1)
