@@ -8,13 +8,14 @@ import sys
 import sysconfig
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 import rclpy
 from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 
 from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE, Frames, frames_from_rows
@@ -171,15 +172,27 @@ def two_frames() -> Frames:
     return frames_from_rows(np.array([10**9, 2 * 10**9]), rows)
 
 
-@pytest.fixture
-def observer() -> Iterator[Node]:
+@dataclass(frozen=True)
+class Observer:
     """A node of this process that sees who else is in the graph."""
+
+    node: Node
+    executor: Executor
+
+    def names_after(self, timeout_s: float) -> set[str]:
+        """Names of all nodes, after whatever comes in within `timeout_s` was handled."""
+        self.executor.spin_once(timeout_sec=timeout_s)
+        return set(self.node.get_node_names())
+
+
+@pytest.fixture
+def observer() -> Iterator[Observer]:
     context = Context()
     rclpy.init(context=context, domain_id=DOMAIN_ID)
     node = Node("observer", context=context)
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
-    yield node
+    yield Observer(node, executor)
     executor.shutdown()
     node.destroy_node()
     rclpy.shutdown(context=context)
@@ -207,7 +220,7 @@ def test_every_executable_starts_its_node_and_ends_on_sigint(
     prefix_fixture: str,
     request: pytest.FixtureRequest,
     node_parameters: dict[str, dict[str, str]],
-    observer: Node,
+    observer: Observer,
     tmp_path: Path,
 ) -> None:
     prefix: Path = request.getfixturevalue(prefix_fixture)
@@ -232,7 +245,7 @@ def test_every_executable_starts_its_node_and_ends_on_sigint(
         for _ in range(2):
             for process in processes.values():
                 process.send_signal(signal.SIGINT)
-            observer.executor.spin_once(timeout_sec=0.02)
+            observer.names_after(0.02)
         output = {name: process.communicate(timeout=30)[0] for name, process in processes.items()}
     finally:
         for process in processes.values():
@@ -242,11 +255,10 @@ def test_every_executable_starts_its_node_and_ends_on_sigint(
     assert not [name for name in NODES if "Traceback" in output[name]], output
 
 
-def wait_until_up(observer: Node, processes: dict[str, "subprocess.Popen[str]"]) -> None:
+def wait_until_up(observer: Observer, processes: dict[str, "subprocess.Popen[str]"]) -> None:
     """Spin until the graph shows a node for every process; fails when one ended or none came."""
     deadline = time.monotonic() + 60
-    while missing := set(processes) - set(observer.get_node_names()):
+    while missing := set(processes) - observer.names_after(0.1):
         for name, process in processes.items():
             assert process.poll() is None, f"{name} ended: {process.communicate()[0]}"
         assert time.monotonic() < deadline, f"not in the graph after 60 s: {missing}"
-        observer.executor.spin_once(timeout_sec=0.1)
