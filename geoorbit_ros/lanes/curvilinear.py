@@ -16,22 +16,16 @@ from geoorbit_ros.core.lanes import CrossSection, Lane, LaneMap
 from geoorbit_ros.lanes.centerlines import LARGE_WEIGHT, Centerline, fit_centerline
 from geoorbit_ros.lanes.confidence import LaneEvidence, judge
 from geoorbit_ros.lanes.corridors import Corridor, find_corridors
+from geoorbit_ros.lanes.density import Density, find_crests, lateral_density
 from geoorbit_ros.lanes.evidence import Evidence
 from geoorbit_ros.lanes.identity import LaneRegistry
+from geoorbit_ros.lanes.junctions import hand_over, lane_directions
 from geoorbit_ros.lanes.lane_ends import straighten_ends
 from geoorbit_ros.lanes.members import find_members, keeping_lane
 from geoorbit_ros.lanes.parameters import LaneParameters
 from geoorbit_ros.lanes.passes import Passes
 from geoorbit_ros.lanes.profiles import Profiles, lateral_profiles
-from geoorbit_ros.lanes.ridges import (
-    Density,
-    Ridge,
-    find_ridges,
-    hand_over,
-    lane_directions,
-    lateral_density,
-    separate,
-)
+from geoorbit_ros.lanes.ridges import Ridge, separate, trace_ridges
 from geoorbit_ros.lanes.spine import Spine
 from geoorbit_ros.lanes.widths import lane_widths, neighbour_spacings
 
@@ -142,7 +136,7 @@ def _crests(
 ) -> tuple[Density, list[Ridge], list[NDArray[np.float64]]]:
     """Density, the crests in it that can be lanes, and the direction of driving along each."""
     density = lateral_density(profiles, blur_m, trust)
-    traced = find_ridges(density, MIN_HEIGHT, prominence)
+    traced = trace_ridges(find_crests(density, MIN_HEIGHT, prominence))
     ridges = separate(hand_over(traced, len(profiles.station_m)))
     return density, ridges, lane_directions(ridges, profiles.step_m)
 

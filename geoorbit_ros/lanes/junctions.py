@@ -1,0 +1,112 @@
+"""Where ridges meet: which one goes on at a merge or diverge, and which way its traffic drives."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.lanes.ridges import MIN_SPACING_M, MIN_STATIONS, Ridge
+
+BESIDE_M = 5.5
+"""Ridges closer than this are neighbouring lanes."""
+PARALLEL = 0.02
+"""Typical slope between two ridges that are lanes of one road."""
+
+
+def hand_over(ridges: list[Ridge], stations: int) -> list[Ridge]:
+    """Where two ridges run together, give what follows to the one that goes straight on.
+
+    At a merge the crests of ramp and lane melt into one, and the tracing may leave the common
+    crest to the ramp. Seen against the traffic, the same happens at a diverge.
+
+    Args:
+        ridges: Traced crests.
+        stations: Number of stations of the corridor.
+    """
+    forward = _give_tails(ridges)
+    backward = _give_tails([_mirrored(r, stations) for r in forward])
+    return [_mirrored(r, stations) for r in backward]
+
+
+def lane_directions(ridges: list[Ridge], step_m: float) -> list[NDArray[np.float64]]:
+    """Slope dd/ds of driving along each ridge.
+
+    Where vehicles leave or enter a lane side by side with another, the crest follows them; there
+    the lane's direction is that of its strongest parallel neighbour.
+
+    Args:
+        ridges: Candidate lanes.
+        step_m: Distance between stations.
+    """
+    slopes = [np.gradient(r.d, step_m) for r in ridges]
+    result = []
+    for own, slope in zip(ridges, slopes, strict=True):
+        direction = slope.copy()
+        best = np.where(own.height > 0.0, own.weight, 0.0)
+        for other, other_slope in zip(ridges, slopes, strict=True):
+            low = max(own.first, other.first)
+            high = min(own.first + len(own.d), other.first + len(other.d))
+            if other is own or high - low < 2 * MIN_STATIONS:
+                continue
+            here = slice(low - own.first, high - own.first)
+            there = slice(low - other.first, high - other.first)
+            beside = np.abs(own.d[here] - other.d[there]) <= BESIDE_M
+            if np.median(np.abs(slope[here] - other_slope[there])) > PARALLEL or not beside.any():
+                continue
+            better = beside & (other.weight > best[here])
+            direction[here] = np.where(better, other_slope[there], direction[here])
+            best[here] = np.where(better, other.weight, best[here])
+        result.append(direction)
+    return result
+
+
+def _mirrored(ridge: Ridge, stations: int) -> Ridge:
+    first = stations - ridge.first - len(ridge.d)
+    return Ridge(first, ridge.d[::-1], ridge.height[::-1])
+
+
+def _give_tails(ridges: list[Ridge]) -> list[Ridge]:
+    result = list(ridges)
+    for i, ending in enumerate(result):
+        for k, going in enumerate(result):
+            if i == k or (found := _junction(ending, going)) is None:
+                continue
+            cut = found - going.first
+            end = ending.first + len(ending.d)
+            share = np.linspace(0.0, 1.0, found - end + 2)[1:-1]
+            between = ending.d[-1] + share * (going.d[cut] - ending.d[-1])
+            result[i] = Ridge(
+                ending.first,
+                np.concatenate([ending.d, between, going.d[cut:]]),
+                np.concatenate([ending.height, np.zeros(len(between)), going.height[cut:]]),
+            )
+            result[k] = Ridge(going.first, going.d[:cut], going.height[:cut])
+            break
+    return result
+
+
+def _junction(ending: Ridge, going: Ridge) -> int | None:
+    """Station at which `going` has come onto the straight continuation of `ending`, if it has."""
+    end = ending.first + len(ending.d)
+    if min(len(ending.d), end - going.first) < 2 * MIN_STATIONS:
+        return None
+    if going.first + len(going.d) < end + MIN_STATIONS:
+        return None
+    if abs(going.d[end - 1 - going.first] - ending.d[-1]) > MIN_SPACING_M:
+        return None
+    # The last stations before the crests melt are already drawn to each other.
+    later = np.arange(end, min(going.first + len(going.d), end + 5 * MIN_STATIONS))
+    after = going.d[later - going.first]
+    own = np.abs(after - _continued(going, going.first, end - MIN_STATIONS, later))
+    other = np.abs(after - _continued(ending, ending.first, end - MIN_STATIONS, later))
+    near = np.flatnonzero(other < 0.3 * MIN_SPACING_M)
+    if len(near) == 0 or other[near[0] :].mean() >= own[near[0] :].mean():
+        return None
+    return int(later[near[0]])
+
+
+def _continued(ridge: Ridge, first: int, last: int, at: NDArray[np.int64]) -> NDArray[np.float64]:
+    """A ridge's straight continuation, from its stations before `last`."""
+    base = np.arange(max(first, last - 3 * MIN_STATIONS), last)
+    slope, offset = np.polyfit(base, ridge.d[base - ridge.first], 1)
+    return np.asarray(slope * at + offset)
