@@ -57,6 +57,7 @@ class BagPlayerNode(GeoOrbitNode[BagPlayerParameters]):
     `~/pause` holds (true) and resumes (false).
 
     Attributes:
+        finished: Whether the bag has been played to its end.
         may_send: Set by whoever composes the player with its readers in one process: how many
             messages they can take now.
     """
@@ -68,7 +69,7 @@ class BagPlayerNode(GeoOrbitNode[BagPlayerParameters]):
         """Open the bag and make its topics."""
         p = self.p
         self.may_send: Callable[[], int] = lambda: BATCH
-        self.paused = p.start_paused
+        self.paused, self.finished = p.start_paused, False
         self.topics: dict[str, Publisher] = {}
         qos = stream_qos(p.reliability, p.queue_depth)
         for topic in describe_bag(p.bag).topics:
@@ -81,7 +82,7 @@ class BagPlayerNode(GeoOrbitNode[BagPlayerParameters]):
             name = rename_camera(topic.name, p.camera_id)
             self.topics[topic.name] = self.create_publisher(message_type, name, qos)
         self._clock_topic = self.create_publisher(ClockMessage, "/clock", CLOCK_QOS)
-        self._finished = self.create_publisher(UInt64, "~/finished", LATCHED)
+        self._finished_topic = self.create_publisher(UInt64, "~/finished", LATCHED)
         self.create_service(SetBool, "~/pause", self._on_pause)
         self._waiting, self._deadline_s = True, time.monotonic() + p.wait_timeout_s
         self._begin()
@@ -105,7 +106,7 @@ class BagPlayerNode(GeoOrbitNode[BagPlayerParameters]):
         return response
 
     def _tick(self) -> None:
-        if self.done or self.paused:
+        if self.finished or self.paused:
             return
         if self._waiting:
             wanted, topics = self.p.wait_for_subscribers, self.topics.values()
@@ -123,16 +124,16 @@ class BagPlayerNode(GeoOrbitNode[BagPlayerParameters]):
             self._end()
 
     def _end(self) -> None:
-        self._finished.publish(UInt64(data=self.diagnostics.published))
+        self._finished_topic.publish(UInt64(data=self.diagnostics.published))
         if self.p.loop:
             self._begin()
             return
         self.get_logger().info(f"{self.p.bag}: played {self.diagnostics.published} messages")
-        self.done = self.p.exit_when_done
+        self.finished, self.done = True, self.p.exit_when_done
 
     def close(self) -> None:
         """Give reliable subscribers time to take the last messages."""
-        if self.done and not all(
+        if self.finished and not all(
             publisher.wait_for_all_acked(ACKNOWLEDGE_TIMEOUT) for publisher in self.topics.values()
         ):
             self.get_logger().warning("the last messages were not acknowledged within 10 s")

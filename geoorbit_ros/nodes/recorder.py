@@ -64,7 +64,10 @@ class RecorderNode(GeoOrbitNode[RecorderParameters]):
 
     def close(self) -> None:
         """Commit what is left."""
-        self._database.close()
+        try:
+            self._database.close()
+        except GeoOrbitError as error:
+            self.get_logger().error(str(error))
 
     def _on_frame(self, stamp_ns: int, rows: NDArray[np.void]) -> None:
         self._database.append(self._camera, stamp_ns, rows)

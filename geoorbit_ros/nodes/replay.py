@@ -107,7 +107,7 @@ def replay(request: ReplayRequest, on_frames: Callable[[int], None] = lambda _: 
 
         def through() -> bool:
             on_frames(lanes.frames)
-            return player.done and under_way() == 0
+            return player.finished and under_way() == 0
 
         nodes.wait(matched, START_TIMEOUT_S, "nodes that find each other")
         player.may_send = lambda: WINDOW - under_way()

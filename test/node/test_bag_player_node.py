@@ -121,6 +121,19 @@ def test_a_loop_begins_again(nodes: Composition, camera: MadeUpCamera) -> None:
     assert not node.done
 
 
+def test_a_player_that_stays_says_once_that_it_is_done(
+    nodes: Composition, camera: MadeUpCamera
+) -> None:
+    probe = Probe(nodes)
+    heard = listen_raw(probe, "tracks_px")
+    finished = probe.listen("/bag_player/finished", UInt64)
+    node = start(nodes, camera, exit_when_done=False)
+    probe.until(lambda: node.finished and bool(finished), "the end")
+    status = probe.status_of("/bag_player")
+    assert status["published"] == str(len(camera.frames))
+    assert (len(heard), len(finished), node.done) == (len(camera.frames), 1, False)
+
+
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [

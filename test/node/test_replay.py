@@ -1,6 +1,9 @@
 """Through the real graph or without it, at any rate: the same bytes."""
 
 import os
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -65,6 +68,30 @@ def test_a_camera_without_traffic_is_one_sentence_and_no_file(
     assert str(bag) in said and "vehicle" in said
     assert not out.exists()
     assert os.listdir(tmp_path) == ["quiet"]
+
+
+def test_an_interrupted_replay_ends_at_once_and_leaves_nothing(
+    camera: MadeUpCamera, tmp_path: Path
+) -> None:
+    out = tmp_path / "lanes.geojson"
+    words = [sys.executable, "-m", "geoorbit_ros.cli.main", "replay", str(camera.bag)]
+    words += ["--calibration", str(camera.calibration), "--out", str(out), "--rate", "0.01"]
+    root = str(Path(__file__).parents[2])
+    with subprocess.Popen(
+        [*words, "--verbose"],
+        stderr=subprocess.PIPE,
+        cwd=root,
+        text=True,
+        env=os.environ | {"PYTHONUNBUFFERED": "1"},
+    ) as process:
+        assert process.stderr is not None
+        said = process.stderr.readline()  # the first thing a node logs: the graph is up
+        assert "calibration.csv" in said
+        process.send_signal(signal.SIGINT)
+        said += process.communicate(timeout=30)[1]
+    assert process.returncode == 130
+    assert "Traceback" not in said
+    assert os.listdir(tmp_path) == []
 
 
 def test_a_composition_is_alone_unless_told_otherwise() -> None:
