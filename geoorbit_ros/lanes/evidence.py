@@ -14,6 +14,7 @@ from geoorbit_ros.lanes.passes import (
     condense,
     empty_passes,
     select,
+    take_rows,
 )
 
 MAX_PASSES = 1500
@@ -78,26 +79,27 @@ class Evidence:
             # Joining bytes is far cheaper than concatenating thousands of structured arrays.
             counts = [len(c) // TRACK_DTYPE.itemsize for c in self._chunks]
             stamps = np.repeat(np.array(self._stamps), counts)
-            fresh = np.frombuffer(b"".join(self._chunks), TRACK_DTYPE)
             time_s = np.concatenate([self._open_s, (stamps - epoch) * 1e-9])
-            rows = np.concatenate([self._open, fresh])
+            rows = np.frombuffer(b"".join([self._open.tobytes(), *self._chunks]), TRACK_DTYPE)
             self._stamps, self._chunks = [], []
         else:
             time_s, rows = self._open_s, self._open
-        order = np.lexsort((time_s, rows["track_id"]))
-        time_s, rows = time_s[order], rows[order]
-        new = np.append(True, (np.diff(rows["track_id"]) != 0) | (np.diff(time_s) > MAX_GAP_S))
         if len(rows) == 0:
             return now_s
+        # Rows arrive in time order, so a stable sort by track orders each track's rows by time.
+        order = np.argsort(rows["track_id"], kind="stable")
+        time_s, rows = time_s[order], take_rows(rows, order)
+        new = np.append(True, (np.diff(rows["track_id"]) != 0) | (np.diff(time_s) > MAX_GAP_S))
         track = np.cumsum(new) - 1
         first = np.flatnonzero(new)
         last = np.append(first[1:], len(rows)) - 1
         ended = time_s[last] < now_s - MAX_GAP_S
         block = np.floor((time_s - time_s[first][track]) / MAX_PIECE_S)
         done = ended[track] | (block < block[last][track])
-        part = condense(time_s[done], rows[done], self._max_sigma_m)
+        over, still = np.flatnonzero(done), np.flatnonzero(~done)
+        part = condense(time_s[over], take_rows(rows, over), self._max_sigma_m)
         self._finished = self._trim(concatenate([self._finished, part]), now_s)
-        self._open_s, self._open = time_s[~done], rows[~done]
+        self._open_s, self._open = time_s[still], take_rows(rows, still)
         return now_s
 
     def _worth(self, passes: Passes, now_s: float) -> NDArray[np.float64]:
@@ -107,6 +109,7 @@ class Evidence:
     def _trim(self, passes: Passes, now_s: float) -> Passes:
         worth = self._worth(passes, now_s)
         keep = worth > 0.02
-        if keep.sum() > self._max_passes:
+        # Trimmed in steps, so that what others computed from the finished passes lasts a while.
+        if keep.sum() > 1.2 * self._max_passes:
             keep &= worth >= np.partition(worth, -self._max_passes)[-self._max_passes]
         return passes if keep.all() else select(passes, keep)

@@ -17,6 +17,8 @@ from scipy.spatial import cKDTree
 from geoorbit_ros.lanes.passes import wrap_rad
 
 STEP_M = 2.0
+ALIGN_NODES = 1200
+ALIGN_ROUNDS = 2
 RUN_OUT_M = 20.0
 """Straight extension beyond both ends, so that nodes near the ends have coordinates."""
 
@@ -51,9 +53,16 @@ class Spine:
         """Heading at arc lengths `s`, radians."""
         return np.asarray(np.interp(s, self.s, self.heading))
 
-    def to_road(self, xy: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """(s, d) of points (N, 2); d is positive to the left of the direction of travel."""
-        s = self.s[self._tree.query(xy)[1]]
+    def to_road(
+        self, xy: NDArray[np.float64], near_s: NDArray[np.float64] | None = None
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(s, d) of points (N, 2); d is positive to the left of the direction of travel.
+
+        Args:
+            xy: Points.
+            near_s: About where they are, (N,); saves the search.
+        """
+        s = self.s[self._tree.query(xy)[1]] if near_s is None else near_s
         for _ in range(2):
             s = np.clip(s + self._offset(s, xy)[0], 0.0, self.s[-1])
         along, left = self._offset(s, xy)
@@ -115,8 +124,14 @@ def trace_spine(
     path = np.vstack([before[::-1], xy[seed], after])
     profile, anchor = _headings(path, len(before) + len(seed) // 2, scale_m)
     spine = spine_from_headings(xy[middle], anchor, profile)
-    for _ in range(3):
-        spine = _align(spine, anchor, xy, heading, scale_m)
+    # A direction averaged over a road's scale needs no more nodes than this; every n-th node keeps
+    # all passes represented.
+    stride = max(1, len(xy) // ALIGN_NODES)
+    some, directions = xy[::stride], heading[::stride]
+    s = None
+    for _ in range(ALIGN_ROUNDS):
+        s, d = spine.to_road(some, s)
+        spine = _align(spine, anchor, s, d, directions, scale_m)
     return spine
 
 
@@ -170,12 +185,12 @@ def _headings(
 def _align(
     spine: Spine,
     anchor: int,
-    xy: NDArray[np.float64],
+    s: NDArray[np.float64],
+    d: NDArray[np.float64],
     heading: NDArray[np.float64],
     scale_m: float,
 ) -> Spine:
     """Turn the curve, place by place, into the robust mean direction of the traffic beside it."""
-    s, d = spine.to_road(xy)
     off = wrap_rad(heading - spine.heading_at(s))
     use = (np.abs(off) < 0.4) & (np.abs(d) < 2.0 * scale_m) & spine.regular(s, d)
     use &= (s >= 0.0) & (s <= spine.s[-1])
