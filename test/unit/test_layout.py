@@ -140,3 +140,10 @@ def test_licences_and_reasons_are_written_down_for_every_requirement() -> None:
         name for name in pinned("runtime.txt") | pinned("dev.txt") if f"`{name}`" not in record
     }
     assert not missing
+
+
+def test_the_index_lists_every_decision_record() -> None:
+    folder = REPOSITORY / "docs" / "adr"
+    records = {path.name for path in folder.glob("[0-9]*.md")}
+    listed = re.findall(r"\]\((\d{4}-[\w-]+\.md)\)", (folder / "README.md").read_text())
+    assert sorted(listed) == sorted(records)

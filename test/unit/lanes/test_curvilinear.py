@@ -24,7 +24,8 @@ def lanes_of(frames: Frames) -> LaneMap:
 
 def distance_m(points: NDArray[np.float64], line: NDArray[np.float64]) -> NDArray[np.float64]:
     """Distance of points to a densely sampled line."""
-    return np.min(np.hypot(*np.moveaxis(points[:, None] - line[None], 2, 0)), axis=1)
+    dx, dy = np.moveaxis(points[:, None] - line[None], 2, 0)
+    return np.asarray(np.hypot(dx, dy).min(axis=1))
 
 
 def joined(*parts: Frames) -> Frames:
