@@ -82,7 +82,7 @@ def simulate(
     _check_range("seed", seed, 0, MAX_SEED)
     report = progress or (lambda _what, _share: None)
     placed = place_roads(scene)
-    camera = _camera(scene, placed)
+    camera = scene_camera(scene, placed)
     report("traffic", 0.0)
     record = simulate_traffic(scene, placed, duration_s, seed)
     report("traffic", 1.0)
@@ -126,7 +126,8 @@ def _check_range(name: str, value: float, low: float, high: float, unit: str = "
         )
 
 
-def _camera(scene: Scene, placed: dict[str, PlacedRoad]) -> PinholeCamera:
+def scene_camera(scene: Scene, placed: dict[str, PlacedRoad]) -> PinholeCamera:
+    """The scene's camera over its roads, which are in the map frame."""
     pole, target = scene.camera.pole, scene.camera.look_at
     centre = np.append(placed[pole.road].point(pole.along_m, pole.right_m), scene.camera.height_m)
     middle = np.append(placed[target.road].point(target.along_m, target.right_m), 0.0)
