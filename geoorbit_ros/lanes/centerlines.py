@@ -16,7 +16,7 @@ DRIVER_OFFSET_M = 0.3
 """1-sigma of a driver's habitual offset from the lane's middle."""
 RESIDUAL_M = 0.25
 """1-sigma of a vehicle's wander about its own line plus what is left of the measuring noise."""
-ITERATIONS = 4
+ITERATIONS = 3
 LARGE_WEIGHT = 0.4
 """Trucks and buses locate a lane less well: their ground point depends on their unknown height."""
 

@@ -7,7 +7,7 @@ of a turn are others. Within a corridor every node has road coordinates.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,6 +87,7 @@ def place_nodes(
     spine: Spine, speed_mps: float, passes: Passes, among: NDArray[np.int64]
 ) -> Corridor:
     """The corridor around `spine`, with the nodes `among` (M,) that run along it."""
+    among = among[spine.may_run_along(passes.heading[among], MAX_ANGLE_RAD)]
     s, d = spine.to_road(passes.xy[among])
     angle = wrap_rad(passes.heading[among] - spine.heading_at(s))
     fits = (np.abs(angle) < MAX_ANGLE_RAD) & (np.abs(d) < MAX_OFFSET_M) & spine.regular(s, d)
@@ -99,7 +100,21 @@ def _corridor(
 ) -> Corridor:
     position = np.searchsorted(left, seed)
     spine = trace_spine(passes.xy[left], passes.heading[left], position, scale_m(speed_mps))
-    return place_nodes(spine, speed_mps, passes, left)
+    corridor = place_nodes(spine, speed_mps, passes, left)
+    return replace(corridor, speed_mps=_median_speed_mps(passes, corridor.node, speed_mps))
+
+
+def _median_speed_mps(passes: Passes, node: NDArray[np.int64], otherwise_mps: float) -> float:
+    """Median speed of the passes with a whole stretch among `node` (M,), ascending."""
+    owner = passes.pass_of_node()[node]
+    same = (np.diff(owner) == 0) & (np.diff(node) == 1)
+    if not same.any():
+        return otherwise_mps
+    step = np.hypot(*np.diff(passes.xy[node], axis=0)[same].T)
+    elapsed = np.diff(passes.time_s[node])[same]
+    distance = np.bincount(owner[1:][same], step)
+    duration = np.bincount(owner[1:][same], elapsed)
+    return float(np.median(distance[duration > 0.0] / duration[duration > 0.0]))
 
 
 def scale_m(speed_mps: float) -> float:

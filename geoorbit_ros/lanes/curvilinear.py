@@ -32,6 +32,7 @@ from geoorbit_ros.lanes.widths import lane_widths, neighbour_spacings
 BLUR_PER_SMOOTHING_M = 0.045
 PROMINENCE_PER_ANGLE = 0.5
 MIN_HEIGHT = 0.3
+FEW_BETWEEN_LANES = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,8 +112,10 @@ def _candidates(
     trust = np.where(large, LARGE_WEIGHT, 1.0)[:, None] * np.ones(profiles.seen.shape)
     density, ridges, directions = _crests(profiles, trust, blur_m, prominence)
     # Once more, without the vehicles that are between lanes: they blur what they cross.
-    trust *= keeping_lane(profiles, ridges, directions, corridor.scale_m)
-    density, ridges, directions = _crests(profiles, trust, blur_m, prominence)
+    keeping = keeping_lane(profiles, ridges, directions, corridor.scale_m)
+    trust *= keeping
+    if np.mean(keeping[profiles.seen]) < 1.0 - FEW_BETWEEN_LANES:
+        density, ridges, directions = _crests(profiles, trust, blur_m, prominence)
     found = []
     for ridge, direction in zip(ridges, directions, strict=True):
         members = find_members(profiles, ridge, direction, corridor.scale_m)

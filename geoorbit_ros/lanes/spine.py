@@ -17,7 +17,8 @@ from scipy.spatial import cKDTree
 from geoorbit_ros.lanes.passes import wrap_rad
 
 STEP_M = 2.0
-ALIGN_NODES = 1200
+TRACE_NODES = 1500
+TRACE_ANGLE_RAD = 0.4
 ALIGN_ROUNDS = 2
 RUN_OUT_M = 20.0
 """Straight extension beyond both ends, so that nodes near the ends have coordinates."""
@@ -74,6 +75,14 @@ class Spine:
         heading = self.heading_at(s)
         return np.column_stack([x - d * np.sin(heading), y + d * np.cos(heading)])
 
+    def may_run_along(
+        self, heading: NDArray[np.float64], tolerance_rad: float
+    ) -> NDArray[np.bool_]:
+        """Whether a heading is within `tolerance_rad` of any that the curve has; a quick test."""
+        low, high = self.heading.min(), self.heading.max()
+        off = np.abs(wrap_rad(heading - 0.5 * (low + high)))
+        return np.asarray(off <= 0.5 * (high - low) + tolerance_rad)
+
     def regular(self, s: NDArray[np.float64], d: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Whether (s, d) is one to one there: well on this side of the centre of curvature."""
         return np.asarray(1.0 - d * np.interp(s, self.s, self.curvature) > 0.3)
@@ -116,18 +125,20 @@ def trace_spine(
         seed: Indices of the seed pass's nodes, in travel order.
         scale_m: Length over which the road's direction is averaged.
     """
-    tree = cKDTree(xy)
-    unit = np.column_stack([np.cos(heading), np.sin(heading)])
+    # A direction averaged over a road's scale needs no more nodes than this; every n-th node keeps
+    # all passes represented.
+    stride = max(1, len(xy) // TRACE_NODES)
+    some, directions = xy[::stride], heading[::stride]
+    tree = cKDTree(some)
+    unit = np.column_stack([np.cos(directions), np.sin(directions)])
     middle = seed[len(seed) // 2]
-    before = _follow(tree, xy, unit, xy[seed[0]], heading[seed[0]], -1.0, scale_m)
-    after = _follow(tree, xy, unit, xy[seed[-1]], heading[seed[-1]], 1.0, scale_m)
+    before = _follow(tree, some, unit, xy[seed[0]], heading[seed[0]], -1.0, scale_m)
+    after = _follow(tree, some, unit, xy[seed[-1]], heading[seed[-1]], 1.0, scale_m)
     path = np.vstack([before[::-1], xy[seed], after])
     profile, anchor = _headings(path, len(before) + len(seed) // 2, scale_m)
     spine = spine_from_headings(xy[middle], anchor, profile)
-    # A direction averaged over a road's scale needs no more nodes than this; every n-th node keeps
-    # all passes represented.
-    stride = max(1, len(xy) // ALIGN_NODES)
-    some, directions = xy[::stride], heading[::stride]
+    alike = spine.may_run_along(directions, TRACE_ANGLE_RAD)
+    some, directions = some[alike], directions[alike]
     s = None
     for _ in range(ALIGN_ROUNDS):
         s, d = spine.to_road(some, s)
@@ -192,7 +203,7 @@ def _align(
 ) -> Spine:
     """Turn the curve, place by place, into the robust mean direction of the traffic beside it."""
     off = wrap_rad(heading - spine.heading_at(s))
-    use = (np.abs(off) < 0.4) & (np.abs(d) < 2.0 * scale_m) & spine.regular(s, d)
+    use = (np.abs(off) < TRACE_ANGLE_RAD) & (np.abs(d) < 2.0 * scale_m) & spine.regular(s, d)
     use &= (s >= 0.0) & (s <= spine.s[-1])
     if not use.any():
         return spine
