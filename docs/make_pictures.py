@@ -1,0 +1,349 @@
+"""Draws the pictures of README.md and docs/lanes.md from the shipped scenes.
+
+    ./dev run scene list        # makes .venv, should it be missing
+    .venv/bin/python docs/make_pictures.py
+
+Each picture shows what the estimator computes, by calling its own stages: nothing is drawn by hand.
+The same version of the code gives the same pictures.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
+
+from geoorbit_ros.calibration.box_projector import BoxProjector
+from geoorbit_ros.calibration.homography import fit_homography
+from geoorbit_ros.core.lanes import Lane, LaneMap
+from geoorbit_ros.core.resources import share_path
+from geoorbit_ros.lanes.corridors import Corridor, find_corridors
+from geoorbit_ros.lanes.curvilinear import (
+    BLUR_PER_SMOOTHING_M,
+    MIN_HEIGHT,
+    PROMINENCE_PER_ANGLE,
+)
+from geoorbit_ros.lanes.density import Density, find_crests, lateral_density
+from geoorbit_ros.lanes.evidence import Evidence
+from geoorbit_ros.lanes.factory import make_estimator
+from geoorbit_ros.lanes.junctions import hand_over, lane_directions
+from geoorbit_ros.lanes.mapper import LaneMapper
+from geoorbit_ros.lanes.members import keeping_lane
+from geoorbit_ros.lanes.parameters import LaneParameters
+from geoorbit_ros.lanes.passes import Passes
+from geoorbit_ros.lanes.pipeline import StampedRows, map_lanes, project_frames
+from geoorbit_ros.lanes.profiles import Profiles, lateral_profiles
+from geoorbit_ros.lanes.ridges import Ridge, separate, trace_ridges
+from geoorbit_ros.lanes.spine import RUN_OUT_M
+from geoorbit_ros.scenes.scene import load_scene
+from geoorbit_ros.scenes.simulate import SceneRun, simulate
+
+IMAGES = Path(__file__).parent / "images"
+DURATION_S = 60.0
+SEED = 1
+INK, GREY, PALE = "#20262b", "#69737b", "#d9dee2"
+COLOURS = ("#2f6db5", "#c0651a", "#3a8f5c", "#8a4fa3", "#a8862a", "#b03a48")
+THETA = LaneParameters()
+
+plt.rcParams.update(
+    {
+        "font.family": "DejaVu Sans",
+        "font.size": 9,
+        "axes.edgecolor": PALE,
+        "axes.titlesize": 10,
+        "axes.titlelocation": "left",
+        "axes.titlecolor": INK,
+        "axes.labelcolor": GREY,
+        "xtick.color": GREY,
+        "ytick.color": GREY,
+        "legend.frameon": False,
+        "svg.hashsalt": "geoorbit",
+    }
+)
+
+
+@dataclass(frozen=True)
+class Camera:
+    """One scene through its camera, with what the estimator makes of it.
+
+    Attributes:
+        run: The scene's run.
+        tracks: Ground tracks, frame by frame.
+        passes: Condensed vehicle tracks.
+        worth: (P,) worth of each pass.
+        corridors: Streams of traffic.
+        lane_map: The lanes.
+    """
+
+    run: SceneRun
+    tracks: list[StampedRows]
+    passes: Passes
+    worth: NDArray[np.float64]
+    corridors: list[Corridor]
+    lane_map: LaneMap
+
+
+@dataclass(frozen=True)
+class Stages:
+    """The stages between a corridor and its lanes."""
+
+    profiles: Profiles
+    density: Density
+    ridges: list[Ridge]
+
+
+def look_through(scene: str) -> Camera:
+    """Run a shipped scene and the estimator on it."""
+    run = simulate(load_scene(share_path(f"params/scenes/{scene}.yaml")), DURATION_S, SEED)
+    projector = BoxProjector(fit_homography(run.control_points), run.image_size)
+    tracks = list(project_frames(run.frames, projector))
+    evidence = Evidence()
+    for stamp_ns, rows in tracks:
+        evidence.add(stamp_ns, rows)
+    passes, worth = evidence.passes()
+    lane_map = map_lanes(tracks, LaneMapper(make_estimator("curvilinear"), THETA))
+    return Camera(run, tracks, passes, worth, find_corridors(passes), lane_map)
+
+
+def find_stages(camera: Camera, corridor: Corridor) -> Stages:
+    """Profiles, density and ridges of one corridor, as the estimator computes them."""
+    profiles = lateral_profiles(corridor, camera.passes, camera.worth)
+    trust = np.ones(profiles.seen.shape)
+    for last in (False, True):
+        density = lateral_density(profiles, BLUR_PER_SMOOTHING_M * THETA.smoothing, trust)
+        crests = find_crests(density, MIN_HEIGHT, PROMINENCE_PER_ANGLE * THETA.angle)
+        ridges = separate(hand_over(trace_ridges(crests), len(profiles.station_m)))
+        if not last:
+            directions = lane_directions(ridges, profiles.step_m)
+            trust *= keeping_lane(profiles, ridges, directions, corridor.scale_m)
+    return Stages(profiles, density, ridges)
+
+
+def draw_hero(camera: Camera) -> Figure:
+    """What goes in, what comes out."""
+    figure, (image, road) = plt.subplots(
+        1, 2, figsize=(10.5, 3.4), width_ratios=(10, 15), layout="constrained"
+    )
+    draw_image(image, camera, "In: a minute of tracked boxes")
+    draw_map(road, camera, "Out: the lanes, with width, error and confidence")
+    return figure
+
+
+def draw_image(axes: Axes, camera: Camera, title: str) -> None:
+    """The camera's view: paths of all box centres, boxes of one frame."""
+    frames, (width, height) = camera.run.frames, camera.run.image_size
+    for track_id in np.unique(frames.rows["track_id"]):
+        mine = frames.rows[frames.rows["track_id"] == track_id]
+        axes.plot(mine["x"], mine["y"], color="white", lw=0.5, alpha=0.35)
+    counts = np.diff(frames.offset)
+    for row in frames.frame(int(np.argmax(counts))):
+        corner = (row["x"] - row["width"] / 2, row["y"] - row["height"] / 2)
+        axes.add_patch(
+            Rectangle(corner, row["width"], row["height"], fill=False, ec="#f2b84b", lw=1.2)
+        )
+    used = frames.rows
+    left, right = np.clip([used["x"].min() - 80.0, used["x"].max() + 80.0], 0, width)
+    bottom, top = np.clip([used["y"].max() + 80.0, used["y"].min() - 80.0], 0, height)
+    axes.set(xlim=(left, right), ylim=(bottom, top), xticks=[], yticks=[], facecolor="#2b3238")
+    axes.set_aspect("equal")
+    axes.set_title(title)
+
+
+def draw_map(axes: Axes, camera: Camera, title: str) -> None:
+    """Lanes over vehicle paths, turned so that the first corridor runs to the right."""
+    turn = Turn(camera)
+    for k in range(len(camera.passes)):
+        xy = turn(nodes_of(camera.passes, k))
+        axes.plot(*xy.T, color=GREY, lw=0.5, alpha=0.35)
+    for lane in camera.lane_map.confirmed:
+        draw_lane(axes, lane, turn, colour_of(camera, lane))
+    ends = np.vstack([turn(lane.centerline_m) for lane in camera.lane_map.confirmed])
+    axes.set_xlim(ends[:, 0].min() - 8.0, ends[:, 0].max() + 8.0)
+    axes.set_ylim(ends[:, 1].min() - 9.0, ends[:, 1].max() + 9.0)
+    axes.set_xticks([])
+    axes.set_yticks([])
+    draw_scale(axes)
+    axes.set_title(title)
+
+
+class Turn:
+    """Rotation of the map that lays the longest corridor along the page."""
+
+    def __init__(self, camera: Camera) -> None:
+        spine = camera.corridors[0].spine
+        along = spine.xy[-1] - spine.xy[0]
+        cos, sin = along / np.hypot(*along)
+        self._matrix = np.array([[cos, sin], [-sin, cos]])
+
+    def __call__(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(N, 2) points, turned."""
+        return np.asarray(xy @ self._matrix.T)
+
+
+def draw_lane(axes: Axes, lane: Lane, turn: Turn, colour: str) -> None:
+    """A lane's area, centreline, arrow and figures."""
+    left, right, line = turn(lane.left_m), turn(lane.right_m), turn(lane.centerline_m)
+    tentative = lane.status == "tentative"
+    area = np.vstack([left, right[::-1]])
+    axes.fill(*area.T, color=colour, alpha=0.05 if tentative else 0.16, lw=0)
+    for side in (left, right):
+        axes.plot(*side.T, color=colour, lw=0.8, ls=":" if tentative else "-")
+    axes.plot(*line.T, color=colour, lw=1.5, ls="--" if tentative else "-")
+    k = len(line) // 6
+    axes.annotate(
+        "", line[k + 3], line[k], arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 1.5}
+    )
+    m = len(line) // 2
+    text = f"{lane.lane_id}   {lane.width_m:.2f} ± {lane.width_sigma_m:.2f} m"
+    text += f"   {lane.confidence:.2f}"
+    box = {"boxstyle": "round,pad=0.2", "fc": "white", "ec": "none", "alpha": 0.85}
+    axes.annotate(text, line[m], ha="center", va="center", size=6.5, color=colour, bbox=box)
+
+
+def draw_scale(axes: Axes, length_m: float = 20.0) -> None:
+    """A bar that says how long metres are along the page."""
+    (x, _), (y, top) = axes.get_xlim(), axes.get_ylim()
+    x, y = x + 4.0, y + 0.06 * (top - y)
+    axes.plot([x, x + length_m], [y, y], color=GREY, lw=1.2)
+    axes.annotate(f"{length_m:.0f} m", (x + length_m + 1.5, y), va="center", size=7, color=GREY)
+
+
+def draw_passes(camera: Camera) -> Figure:
+    """Stage 1: thirty rows a second become a few nodes per vehicle."""
+    figure, axes = plt.subplots(figsize=(9.0, 4.0), layout="constrained")
+    turn = Turn(camera)
+    every = np.concatenate([rows for _, rows in camera.tracks])
+    xy = turn(np.column_stack([every["x"], every["y"]]).astype(np.float64))
+    axes.plot(*xy.T, ".", color=PALE, ms=2.0, label=f"{len(every)} rows of `tracks`")
+    for k in range(len(camera.passes)):
+        axes.plot(*turn(nodes_of(camera.passes, k)).T, color=COLOURS[0], lw=0.6, alpha=0.6)
+    nodes = turn(camera.passes.xy)
+    text = f"{len(nodes)} nodes of {len(camera.passes)} passes"
+    axes.plot(*nodes.T, ".", color=COLOURS[0], ms=2.5, label=text)
+    draw_scale(axes)
+    axes.legend(loc="lower right", bbox_to_anchor=(0.72, 0.0), markerscale=3)
+    axes.set(xticks=[], yticks=[])
+    axes.set_title("1. Passes: tracks without stops, jumps and border boxes, condensed to nodes")
+    return figure
+
+
+def draw_corridors(cameras: Sequence[Camera]) -> Figure:
+    """Stage 2: streams of traffic with their reference curves."""
+    figure, panels = plt.subplots(
+        1, len(cameras), figsize=(9.0, 3.1), width_ratios=(6, 5), layout="constrained"
+    )
+    for axes, camera in zip(panels, cameras, strict=True):
+        turn = Turn(camera)
+        for k, corridor in enumerate(camera.corridors):
+            colour = COLOURS[k % len(COLOURS)]
+            nodes = turn(camera.passes.xy[corridor.node])
+            axes.plot(*nodes.T, ".", color=colour, ms=2.0, alpha=0.5)
+            if len(np.unique(camera.passes.pass_of_node()[corridor.node])) < 3:
+                continue
+            spine = corridor.spine
+            low, high = corridor.s.min(), corridor.s.max()
+            line = turn(spine.xy[(spine.s >= low) & (spine.s <= high)])
+            axes.plot(*line.T, color=INK, lw=1.4)
+            axes.annotate(
+                "", line[-1], line[-4], arrowprops={"arrowstyle": "-|>", "color": INK, "lw": 1.4}
+            )
+            for s in np.arange(np.ceil(low / RUN_OUT_M) * RUN_OUT_M, high, RUN_OUT_M):
+                tick = turn(spine.to_map(np.full(2, s), np.array([-1.2, 1.2])))
+                axes.plot(*tick.T, color=INK, lw=0.8)
+        axes.set_aspect("equal")
+        axes.set(xticks=[], yticks=[])
+        axes.set_title(f"2. Corridors of {camera.run.scene.name}", loc="left")
+    return figure
+
+
+def draw_density(camera: Camera) -> Figure:
+    """Stage 3: density over (s, d), its crests, and one section through it."""
+    stages = find_stages(camera, camera.corridors[0])
+    profiles, density = stages.profiles, stages.density
+    figure, (plane, section) = plt.subplots(
+        1, 2, figsize=(9.0, 4.2), width_ratios=(7, 3), sharey=True, layout="constrained"
+    )
+    s = profiles.station_m
+    plane.pcolormesh(s, density.offset_m, density.value.T, cmap="Blues", rasterized=True)
+    for ridge in stages.ridges:
+        plane.plot(s[ridge.stations], ridge.d, color=COLOURS[1], lw=1.3)
+    at = len(s) // 2
+    plane.axvline(s[at], color=GREY, lw=0.8, ls="--")
+    used = density.offset_m[density.value.max(axis=0) > 0.1]
+    plane.set(
+        xlabel="s, metres along the corridor",
+        ylabel="d, metres to the left",
+        ylim=(used.min(), used.max()),
+        xlim=(s[profiles.seen.any(axis=0)].min(), s[profiles.seen.any(axis=0)].max()),
+    )
+    plane.set_title("3. Density of vehicles in road coordinates, and its crests")
+    section.plot(density.value[at], density.offset_m, color=COLOURS[0])
+    section.fill_betweenx(density.offset_m, density.value[at], color=COLOURS[0], alpha=0.15)
+    for ridge in stages.ridges:
+        if at in ridge.stations:
+            k = at - ridge.first
+            section.plot(ridge.height[k], ridge.d[k], "o", color=COLOURS[1], ms=5)
+    section.set(xlabel="vehicles per metre", xlim=(0, None))
+    section.set_title(f"Section at s = {s[at]:.0f} m")
+    return figure
+
+
+def draw_lanes(camera: Camera) -> Figure:
+    """Stage 4: the lanes against the truth."""
+    figure, axes = plt.subplots(figsize=(9.0, 4.6), layout="constrained")
+    draw_map(axes, camera, "4. Centrelines, widths, confidence; thin black: the true lanes")
+    turn = Turn(camera)
+    for lane in camera.run.truth:
+        for line in (lane.left_m, lane.right_m):
+            axes.plot(*turn(line).T, color=INK, lw=0.5)
+    return figure
+
+
+def nodes_of(passes: Passes, k: int) -> NDArray[np.float64]:
+    """(M, 2) nodes of one pass."""
+    return passes.xy[passes.offset[k] : passes.offset[k + 1]]
+
+
+def colour_of(camera: Camera, lane: Lane) -> str:
+    """One colour per direction of travel, that of the first corridor first."""
+    heading = camera.corridors[0].spine.heading
+    x, y, own = lane.middle
+    corridor = camera.corridors[0].spine
+    s, _ = corridor.to_road(np.array([[x, y]]))
+    along = np.cos(own - np.interp(s[0], corridor.s, heading))
+    return COLOURS[0] if along > 0.0 else COLOURS[1]
+
+
+def save(figure: Figure, name: str) -> None:
+    """One PNG in docs/images; no time, no version in its metadata."""
+    IMAGES.mkdir(exist_ok=True)
+    path = IMAGES / name
+    figure.savefig(path, dpi=120, facecolor="white", metadata={"Software": None})
+    plt.close(figure)
+    print(f"{path}: {path.stat().st_size // 1024} kB")
+
+
+def main() -> int:
+    """Draw all pictures."""
+    save(draw_hero(look_through("curve_250m")), "lanes-overview.png")
+    ramp, city = look_through("off_ramp_diverge"), look_through("urban_turn")
+    save(draw_passes(ramp), "lanes-1-passes.png")
+    save(draw_corridors([ramp, city]), "lanes-2-corridors.png")
+    save(draw_density(ramp), "lanes-3-density.png")
+    save(draw_lanes(ramp), "lanes-4-lanes.png")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
