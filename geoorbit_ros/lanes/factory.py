@@ -7,11 +7,18 @@ from collections.abc import Callable
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.lanes.curvilinear import CurvilinearEstimator
 from geoorbit_ros.lanes.estimator import LaneEstimator
-from geoorbit_ros.lanes.geolane import GeoLaneEstimator
+
+
+def _geolane() -> LaneEstimator:
+    # Imported when asked for: scikit-learn takes a second to load, the default needs none of it.
+    from geoorbit_ros.lanes.geolane import GeoLaneEstimator
+
+    return GeoLaneEstimator()
+
 
 ESTIMATORS: dict[str, Callable[[], LaneEstimator]] = {
     "curvilinear": CurvilinearEstimator,
-    "geolane": GeoLaneEstimator,
+    "geolane": _geolane,
 }
 
 

@@ -51,7 +51,9 @@ def lane_directions(ridges: list[Ridge], step_m: float) -> list[NDArray[np.float
             here = slice(low - own.first, high - own.first)
             there = slice(low - other.first, high - other.first)
             beside = np.abs(own.d[here] - other.d[there]) <= BESIDE_M
-            if np.median(np.abs(slope[here] - other_slope[there])) > PARALLEL or not beside.any():
+            if other.weight <= own.weight or not beside.any():
+                continue
+            if np.median(np.abs(slope[here] - other_slope[there])) > PARALLEL:
                 continue
             better = beside & (other.weight > best[here])
             direction[here] = np.where(better, other_slope[there], direction[here])

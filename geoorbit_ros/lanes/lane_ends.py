@@ -44,6 +44,8 @@ def _beside(line: Centerline, neighbour: Centerline) -> Centerline:
     there = slice(low - neighbour.station[0], high - neighbour.station[0])
     gap = line.d[own] - neighbour.d[there]
     spacing = np.abs(gap)
+    if spacing.min() > SPACING_RANGE_M[1]:
+        return line
     usual = spacing[(spacing >= SPACING_RANGE_M[0]) & (spacing <= SPACING_RANGE_M[1])]
     if len(usual) < max(MIN_STATIONS, 0.5 * len(spacing)):
         return line
