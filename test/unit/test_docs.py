@@ -1,0 +1,41 @@
+"""Guides point at things that exist."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).parents[2]
+GUIDES = [
+    path
+    for folder in (".", "docs", "docs/adr", "bags", "benchmarks", "msg_defs")
+    for path in sorted((REPOSITORY / folder).glob("*.md"))
+]
+LINK = re.compile(r"\]\(([^)\s]+)\)|<(?:img|source)[^>]*(?:src|srcset)=\"([^\"]+)\"")
+CODE = re.compile(r"```.*?```|`[^`\n]+`", re.DOTALL)
+
+
+def anchors(text: str) -> set[str]:
+    """Anchors of the headings, as GitHub makes them."""
+    headings = re.findall(r"^#+ (.+)$", text, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("guide", GUIDES, ids=lambda path: str(path.relative_to(REPOSITORY)))
+def test_every_link_leads_somewhere(guide: Path) -> None:
+    text = CODE.sub("", guide.read_text(encoding="utf-8"))
+    for target in (a or b for a, b in LINK.findall(text)):
+        if target.startswith(("http://", "https://", "mailto:")):
+            continue
+        name, _, anchor = target.partition("#")
+        file = guide.parent / name if name else guide
+        assert file.exists(), f"{guide.name}: {target}"
+        if anchor:
+            assert anchor in anchors(file.read_text(encoding="utf-8")), f"{guide.name}: {target}"
+
+
+def test_every_picture_is_shown() -> None:
+    texts = "".join(path.read_text(encoding="utf-8") for path in GUIDES)
+    pictures = sorted((REPOSITORY / "docs" / "images").iterdir())
+    assert pictures
+    assert [picture.name for picture in pictures if picture.name not in texts] == []
