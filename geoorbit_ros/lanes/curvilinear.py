@@ -33,6 +33,7 @@ BLUR_PER_SMOOTHING_M = 0.045
 PROMINENCE_PER_ANGLE = 0.5
 MIN_HEIGHT = 0.3
 FEW_BETWEEN_LANES = 0.05
+NEWS_SHARE = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,15 +54,27 @@ class CurvilinearEstimator:
         self._registry = LaneRegistry()
         self._spines: list[tuple[Spine, float]] = []
         self._traced_passes = 0
+        self._mapped = 0
+        self._mapped_passes = 0
 
     def add(self, stamp_ns: int, rows: NDArray[np.void]) -> None:
         """Take one frame of `TRACK_DTYPE` rows; stamps increase from call to call."""
         self._evidence.add(stamp_ns, rows)
 
+    def has_news(self) -> bool:
+        """Whether the evidence has grown by `NEWS_SHARE` since the last map.
+
+        A map costs time in proportion to the evidence behind it. Renewed at every twentieth part
+        of growth, it costs the same per vehicle however long the camera has run.
+        """
+        self._evidence.settle()
+        return self._evidence.finished_ever - self._mapped >= NEWS_SHARE * self._mapped_passes
+
     def lanes(self, parameters: LaneParameters) -> LaneMap:
         """The lanes as the evidence stands now; see the module's text for the method."""
         passes, worth = self._evidence.passes()
         stamp_ns = self._evidence.stamp_ns
+        self._mapped, self._mapped_passes = self._evidence.finished_ever, len(passes)
         if len(passes) == 0:
             return LaneMap(stamp_ns, ())
         corridors = self._corridors(passes)

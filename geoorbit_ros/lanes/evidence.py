@@ -44,6 +44,7 @@ class Evidence:
         self._open_s = np.empty(0)
         self._open = np.empty(0, TRACK_DTYPE)
         self._finished = empty_passes()
+        self._finished_ever = 0
 
     @property
     def stamp_ns(self) -> int:
@@ -61,17 +62,17 @@ class Evidence:
 
     def passes(self) -> tuple[Passes, NDArray[np.float64]]:
         """All passes, finished ones first, and the worth (P,) of each by its age."""
-        now_s = self._settle()
+        now_s = self.settle()
         open_passes = condense(self._open_s, self._open, self._max_sigma_m)
         every = concatenate([self._finished, open_passes])
         return every, self._worth(every, now_s)
 
     @property
-    def finished_count(self) -> int:
-        """How many of the passes are finished; these come first and never change."""
-        return len(self._finished)
+    def finished_ever(self) -> int:
+        """Passes finished since the beginning, those forgotten included, as of `settle`."""
+        return self._finished_ever
 
-    def _settle(self) -> float:
+    def settle(self) -> float:
         """Move tracks that have ended from rows to passes; return the time in seconds."""
         epoch = self._epoch_ns or 0
         now_s = (self._now_ns - epoch) * 1e-9
@@ -98,6 +99,7 @@ class Evidence:
         done = ended[track] | (block < block[last][track])
         over, still = np.flatnonzero(done), np.flatnonzero(~done)
         part = condense(time_s[over], take_rows(rows, over), self._max_sigma_m)
+        self._finished_ever += len(part)
         self._finished = self._trim(concatenate([self._finished, part]), now_s)
         self._open_s, self._open = time_s[still], take_rows(rows, still)
         return now_s

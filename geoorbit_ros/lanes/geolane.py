@@ -46,6 +46,10 @@ class GeoLaneEstimator:
         self._stamps.append(stamp_ns)
         self._frames.append(rows.tobytes())
 
+    def has_news(self) -> bool:
+        """Always: the paper's method starts from scratch each time."""
+        return True
+
     def lanes(self, parameters: LaneParameters) -> LaneMap:
         """Lanes of the observation period. Every lane is `confirmed`: the paper knows no doubt."""
         if not self._stamps:

@@ -34,7 +34,7 @@ class LaneRegistry:
         if known and lanes:
             cost = _distances_m(lanes, known)
             if np.any(np.sum(cost <= MATCH_M, axis=1) != 1):
-                # A lane grown past twice its old length is not near the old one, but that is near it.
+                # A lane grown to twice its length is not near the old one, but that is near it.
                 cost = np.minimum(cost, _distances_m(known, lanes).T)
             blocked = cost > MATCH_M
             for i, k in zip(*linear_sum_assignment(np.where(blocked, 1e3, cost)), strict=True):

@@ -1,0 +1,155 @@
+"""Time of the lane estimators: curvilinear beside the paper's geolane, and how it grows.
+
+Traffic: the recording of Yahara where GEOORBIT_REAL_DATA names its folder, else one minute of the
+shipped scene motorway_4x4, which is about as busy.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.calibration.box_projector import BoxProjector
+from geoorbit_ros.calibration.control_points import read_control_points
+from geoorbit_ros.calibration.homography import Homography, fit_homography
+from geoorbit_ros.core.tables import Frames
+from geoorbit_ros.lanes.estimator import LaneEstimator
+from geoorbit_ros.lanes.factory import make_estimator
+from geoorbit_ros.lanes.mapper import LaneMapper
+from geoorbit_ros.lanes.parameters import LaneParameters
+from geoorbit_ros.lanes.pipeline import map_lanes, project_frames
+from geoorbit_ros.scenes.scene import load_scene
+from geoorbit_ros.scenes.simulate import simulate
+from geoorbit_ros.storage.track_csv import read_track_csv
+
+ROUNDS = 9
+UPDATE_S = 5.0
+GROWTH_POINTS = (100_000, 1_000_000, 10_000_000)
+Stream = list[tuple[int, NDArray[np.void]]]
+
+
+def minute_of_traffic() -> tuple[str, Frames, Homography, tuple[int, int]]:
+    """Name, boxes and camera of the busiest minute at hand."""
+    folder = os.environ.get("GEOORBIT_REAL_DATA")
+    camera = Path(folder) / "us12" / "Yahara" if folder else None
+    if camera and camera.exists():
+        frames = read_track_csv(camera / "trajectory.csv")
+        homography = fit_homography(read_control_points(camera / "calibration.csv"))
+        return "Yahara", frames, homography, (1920, 1080)
+    run = simulate(load_scene("motorway_4x4"), 60.0, 1)
+    return "motorway_4x4", run.frames, fit_homography(run.control_points), run.image_size
+
+
+def filled(name: str, tracks: Stream) -> LaneEstimator:
+    """An estimator that has seen `tracks`."""
+    estimator = make_estimator(name)
+    for stamp_ns, rows in tracks:
+        estimator.add(stamp_ns, rows)
+    return estimator
+
+
+def seconds(call: Callable[[], object]) -> float:
+    """Wall time of one call."""
+    start = time.perf_counter()
+    call()
+    return time.perf_counter() - start
+
+
+def once(name: str, tracks: Stream) -> float:
+    """Time from ground tracks to lanes, all at once."""
+    return seconds(lambda: filled(name, tracks).lanes(LaneParameters()))
+
+
+def update(name: str, tracks: Stream) -> float:
+    """Time of the update after the last `UPDATE_S` of the minute."""
+    cut = tracks[-1][0] - round(UPDATE_S * 1e9)
+    estimator = filled(name, [t for t in tracks if t[0] <= cut])
+    estimator.lanes(LaneParameters())
+    for stamp_ns, rows in tracks:
+        if stamp_ns > cut:
+            estimator.add(stamp_ns, rows)
+    return seconds(lambda: estimator.lanes(LaneParameters()))
+
+
+def from_boxes(name: str, frames: Frames, homography: Homography, size: tuple[int, int]) -> float:
+    """Time from boxes to lanes as `geoorbit lanes` runs it, an update every five seconds."""
+    mapper = LaneMapper(make_estimator(name))
+    projector = BoxProjector(homography, size)
+    return seconds(lambda: map_lanes(project_frames(frames, projector), mapper))
+
+
+def growth_s(tracks: Stream, points: int) -> float:
+    """Time for `points` rows: the minute again and again, with new vehicles each time."""
+    per_lap = sum(len(rows) for _, rows in tracks)
+    lap_ns = tracks[-1][0] - tracks[0][0] + 1_000_000_000
+    ids = 1 + max(int(rows["track_id"].max()) for _, rows in tracks if len(rows))
+    mapper = LaneMapper(make_estimator("curvilinear"))
+    start = time.perf_counter()
+    for lap in range(max(1, round(points / per_lap))):
+        for stamp_ns, rows in tracks:
+            again = rows.copy()
+            again["track_id"] += ids * lap
+            mapper.add(stamp_ns + lap_ns * lap, again)
+    mapper.finish()
+    return time.perf_counter() - start
+
+
+def say(name: str, ratio: float, limit: float | None = None) -> None:
+    """Print one ratio for the runner and for a reader."""
+    line: dict[str, object] = {"name": name, "ratio": ratio}
+    if limit is not None:
+        line["limit"] = limit
+    print(json.dumps(line), flush=True)
+    print(f"{ratio:8.3f}  {name}", file=sys.stderr)
+
+
+def main() -> None:
+    """Measure and print."""
+    place, frames, homography, size = minute_of_traffic()
+    tracks = list(project_frames(frames, BoxProjector(homography, size)))
+    boxes = len(frames.rows)
+    once("geolane", tracks)  # loads scikit-learn
+    samples: dict[str, list[float]] = {}
+    for _ in range(ROUNDS):
+        # In turn, so that a machine that slows down slows all of them.
+        for name in ("geolane", "curvilinear"):
+            samples.setdefault(f"{name} once", []).append(once(name, tracks))
+            samples.setdefault(f"{name} update", []).append(update(name, tracks))
+            samples.setdefault(f"{name} boxes", []).append(
+                from_boxes(name, frames, homography, size)
+            )
+    median = {key: statistics.median(values) for key, values in samples.items()}
+    for key, value in median.items():
+        print(f"{1e3 * value:8.1f} ms  {key}", file=sys.stderr)
+    what = f"{boxes} boxes of {place}"
+    say(
+        f"curvilinear / geolane, {what} to lanes",
+        median["curvilinear boxes"] / median["geolane boxes"],
+        1.0,
+    )
+    say(
+        f"curvilinear / geolane, estimator alone, {what}",
+        median["curvilinear once"] / median["geolane once"],
+        1.0,
+    )
+    say(
+        f"curvilinear update / geolane, {what}",
+        median["curvilinear update"] / median["geolane once"],
+        0.2,
+    )
+    small, *larger = ((n, growth_s(tracks, n)) for n in GROWTH_POINTS)
+    for points, total in larger:
+        each = (total / points) / (small[1] / small[0])
+        say(f"time per point, {points:.0e} points / {small[0]:.0e}", each, 1.5)
+
+
+if __name__ == "__main__":
+    main()
