@@ -216,7 +216,8 @@ def _align(
         weight = 1.0 / (1.0 + ((off - centre[k]) / 0.03) ** 2)
         mass = gaussian_filter1d(np.bincount(k, weight, len(centre)), blur)
         pull = gaussian_filter1d(np.bincount(k, weight * off, len(centre)), blur)
-        known = mass > 1e-3
+        # A lone vehicle that turns weighs next to nothing, but is all there is to go by.
+        known = mass > min(1e-3, 0.5 * float(mass.max()))
         where = np.flatnonzero(known)
         centre = np.interp(np.arange(len(centre)), where, pull[known] / mass[known])
     return spine_from_headings(spine.xy[anchor], anchor, spine.heading + centre)
