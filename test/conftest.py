@@ -1,7 +1,12 @@
 """Fixtures for tests of every kind."""
 
+import signal
+
 import pytest
 from made_up_camera import MadeUpCamera, make_camera
+
+# A shell's background job ignores Ctrl-C, and so would every process the tests start and interrupt.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")

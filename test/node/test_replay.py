@@ -84,11 +84,14 @@ def test_an_interrupted_replay_ends_at_once_and_leaves_nothing(
         text=True,
         env=os.environ | {"PYTHONUNBUFFERED": "1"},
     ) as process:
-        assert process.stderr is not None
-        said = process.stderr.readline()  # the first thing a node logs: the graph is up
-        assert "calibration.csv" in said
-        process.send_signal(signal.SIGINT)
-        said += process.communicate(timeout=30)[1]
+        try:
+            assert process.stderr is not None
+            said = process.stderr.readline()  # the first thing a node logs: the graph is up
+            assert "calibration.csv" in said
+            process.send_signal(signal.SIGINT)
+            said += process.communicate(timeout=30)[1]
+        finally:
+            process.kill()
     assert process.returncode == 130
     assert "Traceback" not in said
     assert os.listdir(tmp_path) == []
