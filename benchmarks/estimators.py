@@ -76,7 +76,7 @@ def update(name: str, tracks: Stream) -> float:
     for stamp_ns, rows in tracks:
         if stamp_ns > cut:
             estimator.add(stamp_ns, rows)
-    return seconds(lambda: estimator.lanes(LaneParameters()))
+    return seconds(lambda: estimator.update(LaneParameters()))
 
 
 def from_boxes(name: str, frames: Frames, homography: Homography, size: tuple[int, int]) -> float:

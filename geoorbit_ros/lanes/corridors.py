@@ -72,7 +72,7 @@ def find_corridors(passes: Passes, known: Sequence[tuple[Spine, float]] = ()) ->
         remaining = np.bincount(owner, step * left, len(passes))
         if remaining.max() < MIN_TRAVEL_M:
             break
-        seed_pass = int(np.argmax(remaining))
+        seed_pass = int(np.argmax(remaining * _straightness(passes, owner, left)))
         seed = np.flatnonzero(left & (owner == seed_pass))
         speed = step[seed].sum() / max(elapsed[seed].sum(), 1e-3)
         corridor = _corridor(passes, np.flatnonzero(left), seed, float(speed))
@@ -81,6 +81,24 @@ def find_corridors(passes: Passes, known: Sequence[tuple[Spine, float]] = ()) ->
         if len(corridor.node):
             corridors.append(corridor)
     return corridors
+
+
+def _straightness(
+    passes: Passes, owner: NDArray[np.int64], left: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """(P,) 1 for a pass that keeps its heading over its nodes `left`, 1/2 for one that turns off.
+
+    At a junction the road is what the traffic going straight follows; turns branch from it.
+    """
+    node = np.flatnonzero(left)
+    begin = np.searchsorted(owner[node], np.arange(len(passes)))
+    end = np.searchsorted(owner[node], np.arange(len(passes)), side="right")
+    some = end > begin
+    first, last = node[begin[some]], node[end[some] - 1]
+    turn = np.abs(wrap_rad(passes.heading[last] - passes.heading[first]))
+    result = np.zeros(len(passes))
+    result[some] = 1.0 - 0.5 * np.minimum(turn / (0.5 * np.pi), 1.0)
+    return result
 
 
 def place_nodes(

@@ -19,6 +19,7 @@ from geoorbit_ros.lanes.corridors import Corridor, find_corridors
 from geoorbit_ros.lanes.density import Density, find_crests, lateral_density
 from geoorbit_ros.lanes.evidence import Evidence
 from geoorbit_ros.lanes.identity import LaneRegistry
+from geoorbit_ros.lanes.increment import LaneCounter
 from geoorbit_ros.lanes.junctions import hand_over, lane_directions
 from geoorbit_ros.lanes.lane_ends import straighten_ends
 from geoorbit_ros.lanes.members import find_members, keeping_lane
@@ -33,7 +34,12 @@ BLUR_PER_SMOOTHING_M = 0.045
 PROMINENCE_PER_ANGLE = 0.5
 MIN_HEIGHT = 0.3
 FEW_BETWEEN_LANES = 0.05
-NEWS_SHARE = 0.05
+GROWTH = 0.2
+"""Share by which the evidence grows before the geometry is derived anew."""
+RETRACE = 0.1
+"""Share of the evidence that must be new for the reference curves to be traced anew."""
+STRAYS = 3
+"""Vehicles where no lane is known that call for a derivation at once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +52,18 @@ class _Candidate:
     evidence: LaneEvidence
 
 
+@dataclass(frozen=True, slots=True)
+class _Derived:
+    """The last map derived in full, and what is needed to count on from it."""
+
+    lane_map: LaneMap
+    parameters: LaneParameters
+    evidence: dict[int, LaneEvidence]
+    counter: LaneCounter
+    passes: int
+    finished: int
+
+
 class CurvilinearEstimator:
     """`LaneEstimator` for any heading, bends, ramps, both directions and sparse lanes."""
 
@@ -53,28 +71,17 @@ class CurvilinearEstimator:
         self._evidence = Evidence()
         self._registry = LaneRegistry()
         self._spines: list[tuple[Spine, float]] = []
-        self._traced_passes = 0
-        self._mapped = 0
-        self._mapped_passes = 0
+        self._traced = 0
+        self._last: _Derived | None = None
 
     def add(self, stamp_ns: int, rows: NDArray[np.void]) -> None:
         """Take one frame of `TRACK_DTYPE` rows; stamps increase from call to call."""
         self._evidence.add(stamp_ns, rows)
 
-    def has_news(self) -> bool:
-        """Whether the evidence has grown by `NEWS_SHARE` since the last map.
-
-        A map costs time in proportion to the evidence behind it. Renewed at every twentieth part
-        of growth, it costs the same per vehicle however long the camera has run.
-        """
-        self._evidence.settle()
-        return self._evidence.finished_ever - self._mapped >= NEWS_SHARE * self._mapped_passes
-
     def lanes(self, parameters: LaneParameters) -> LaneMap:
         """The lanes as the evidence stands now; see the module's text for the method."""
         passes, worth = self._evidence.passes()
         stamp_ns = self._evidence.stamp_ns
-        self._mapped, self._mapped_passes = self._evidence.finished_ever, len(passes)
         if len(passes) == 0:
             return LaneMap(stamp_ns, ())
         corridors = self._corridors(passes)
@@ -100,13 +107,48 @@ class CurvilinearEstimator:
             judge(lane, candidate.evidence, old is not None and old.status == "confirmed")
             for lane, candidate, old in zip(lanes, candidates, matched, strict=True)
         ]
-        return LaneMap(stamp_ns, self._registry.identify(lanes, matched), tuple(sections))
+        named = self._registry.identify(lanes, matched)
+        lane_map = LaneMap(stamp_ns, tuple(sorted(named, key=lambda k: k.lane_id)), tuple(sections))
+        self._last = _Derived(
+            lane_map,
+            parameters,
+            {lane.lane_id: c.evidence for lane, c in zip(named, candidates, strict=True)},
+            LaneCounter(lane_map.lanes),
+            len(passes),
+            self._evidence.finished_ever,
+        )
+        return lane_map
+
+    def update(self, parameters: LaneParameters) -> LaneMap:
+        """Count new vehicles into the last map, or derive it anew when that is worth it.
+
+        A derivation costs time in proportion to the evidence. Done at every fifth part of its
+        growth, it costs the same per vehicle however long the camera has run.
+        """
+        last = self._last
+        self._evidence.settle()
+        if last is None or last.parameters != parameters:
+            return self.lanes(parameters)
+        fresh = self._evidence.finished_after(last.finished, last.lane_map.stamp_ns)
+        counts, elsewhere = last.counter.count(fresh)
+        grown = self._evidence.finished_ever - last.finished
+        if grown >= GROWTH * last.passes or elsewhere >= STRAYS:
+            return self.lanes(parameters)
+        lanes = []
+        for lane, count in zip(last.lane_map.lanes, counts.tolist(), strict=True):
+            evidence = last.evidence[lane.lane_id]
+            more = replace(lane, vehicles=lane.vehicles + count)
+            seen = replace(evidence, vehicles=evidence.vehicles + count)
+            lanes.append(judge(more, seen, lane.status == "confirmed"))
+        self._registry.identify(lanes, lanes)
+        return replace(last.lane_map, stamp_ns=self._evidence.stamp_ns, lanes=tuple(lanes))
 
     def _corridors(self, passes: Passes) -> list[Corridor]:
-        """Corridors along the known reference curves; traced anew when the evidence has doubled."""
-        if len(passes) >= 2 * self._traced_passes or not self._spines:
+        """Corridors along the known reference curves; these are traced anew as evidence grows."""
+        fresh = self._evidence.finished_ever - self._traced
+        if not self._spines or fresh >= RETRACE * len(passes):
             corridors = find_corridors(passes)
-            self._traced_passes = len(passes)
+            self._traced = self._evidence.finished_ever
         else:
             corridors = find_corridors(passes, self._spines)
         self._spines = [(c.spine, c.speed_mps) for c in corridors]

@@ -22,10 +22,10 @@ class LaneEstimator(Protocol):
         """Take one frame of `TRACK_DTYPE` rows; stamps increase from call to call."""
         ...
 
-    def has_news(self) -> bool:
-        """Whether enough evidence came since the last map for a new one to be worth its cost."""
-        ...
-
     def lanes(self, parameters: LaneParameters) -> LaneMap:
         """The lanes as the evidence stands now. Lanes keep their ids from call to call."""
+        ...
+
+    def update(self, parameters: LaneParameters) -> LaneMap:
+        """The lanes refined by what came since the last map, at a fraction of its cost."""
         ...

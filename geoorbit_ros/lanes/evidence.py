@@ -72,6 +72,15 @@ class Evidence:
         """Passes finished since the beginning, those forgotten included, as of `settle`."""
         return self._finished_ever
 
+    def finished_after(self, count: int, stamp_ns: int) -> Passes:
+        """Passes finished after the first `count` that also began after `stamp_ns`."""
+        new = min(self._finished_ever - count, len(self._finished))
+        keep = np.zeros(len(self._finished), bool)
+        keep[len(keep) - new :] = True
+        begin_s = self._finished.time_s[self._finished.offset[:-1]]
+        keep &= begin_s > (stamp_ns - (self._epoch_ns or 0)) * 1e-9
+        return select(self._finished, keep)
+
     def settle(self) -> float:
         """Move tracks that have ended from rows to passes; return the time in seconds."""
         epoch = self._epoch_ns or 0

@@ -46,10 +46,6 @@ class GeoLaneEstimator:
         self._stamps.append(stamp_ns)
         self._frames.append(rows.tobytes())
 
-    def has_news(self) -> bool:
-        """Always: the paper's method starts from scratch each time."""
-        return True
-
     def lanes(self, parameters: LaneParameters) -> LaneMap:
         """Lanes of the observation period. Every lane is `confirmed`: the paper knows no doubt."""
         if not self._stamps:
@@ -62,6 +58,10 @@ class GeoLaneEstimator:
         return LaneMap(
             stamp_ns, self._registry.identify(lanes, self._registry.match(lanes)), tuple(sections)
         )
+
+    def update(self, parameters: LaneParameters) -> LaneMap:
+        """The same as `lanes`: the paper's method starts from scratch each time."""
+        return self.lanes(parameters)
 
 
 def detect(

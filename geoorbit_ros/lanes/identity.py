@@ -43,7 +43,7 @@ class LaneRegistry:
         return matched
 
     def identify(self, lanes: Sequence[Lane], matched: Sequence[Lane | None]) -> tuple[Lane, ...]:
-        """The lanes with lasting ids, ordered by id.
+        """The lanes with lasting ids, in the same order.
 
         Args:
             lanes: Lanes whose `lane_id` is ignored.
@@ -55,7 +55,7 @@ class LaneRegistry:
             self._next_id += old is None
             named.append(replace(lane, lane_id=lane_id))
         self._known.update({lane.lane_id: lane for lane in named})
-        return tuple(sorted(named, key=lambda lane: lane.lane_id))
+        return tuple(named)
 
 
 def _distances_m(lanes: Sequence[Lane], others: Sequence[Lane]) -> NDArray[np.float64]:

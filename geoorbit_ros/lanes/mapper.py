@@ -14,7 +14,7 @@ DEFAULT_UPDATE_PERIOD_S = 5.0
 
 
 class LaneMapper:
-    """The lane map of one camera, renewed every `update_period_s` of data time while news come.
+    """The lane map of one camera, renewed every `update_period_s` of data time.
 
     The schedule follows the stamps, so a bag gives the same maps, ids included, at any replay rate
     and without a graph.
@@ -40,7 +40,7 @@ class LaneMapper:
         self._due_ns: int | None = None
 
     def add(self, stamp_ns: int, rows: NDArray[np.void]) -> LaneMap | None:
-        """Take one frame; the renewed map when a period has passed and brought news, else None.
+        """Take one frame; the renewed map when a period has passed, else None.
 
         Args:
             stamp_ns: Capture time, later than that of the call before.
@@ -53,7 +53,7 @@ class LaneMapper:
             return None
         periods = (stamp_ns - self._due_ns) // self._period_ns + 1
         self._due_ns += periods * self._period_ns
-        return self.finish() if self._estimator.has_news() else None
+        return self._estimator.update(self.parameters)
 
     def finish(self) -> LaneMap:
         """The map of all frames so far, now."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.lanes.centerlines import Centerline
 
-TYPICAL_WIDTH_M = (3.25, 3.6)
+TYPICAL_WIDTH_M = (3.25, 3.65)
 TYPICAL_SPEED_MPS = (14.0, 22.0)
 TYPICAL_SIGMA_M = 0.2
 """City streets have 3.0 to 3.5 m (NACTO Urban Street Design Guide), faster roads 3.5 to 3.75 m
