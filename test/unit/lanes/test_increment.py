@@ -1,0 +1,77 @@
+"""Between two derivations of the map, new vehicles are counted into the lanes that are known."""
+
+from __future__ import annotations
+
+import numpy as np
+from traffic import Stream, straight, traffic
+
+from geoorbit_ros.core.lanes import LaneMap
+from geoorbit_ros.core.tables import Frames
+from geoorbit_ros.lanes.curvilinear import CurvilinearEstimator
+from geoorbit_ros.lanes.parameters import LaneParameters
+
+LANE_M = 3.6
+MINUTE_NS = 70_000_000_000
+
+
+def feed(estimator: CurvilinearEstimator, frames: Frames, lap: int) -> None:
+    """Give one minute of traffic, as the `lap`-th minute."""
+    for k, stamp_ns in enumerate(frames.stamp_ns):
+        rows = frames.frame(k).copy()
+        rows["track_id"] += 1000 * lap
+        estimator.add(int(stamp_ns) + lap * MINUTE_NS, rows)
+    # A later frame without vehicles ends all tracks.
+    estimator.add(lap * MINUTE_NS + MINUTE_NS - 1, frames.frame(0)[:0])
+
+
+def lane_near(lane_map: LaneMap, y_m: float) -> int:
+    """Index of the lane whose middle is at `y_m`."""
+    return int(np.argmin([abs(lane.middle[1] - y_m) for lane in lane_map.lanes]))
+
+
+def test_new_vehicles_confirm_a_lane_without_moving_it() -> None:
+    estimator = CurvilinearEstimator()
+    busy = [Stream(straight(0.0, LANE_M * k), 40) for k in (1, 2)]
+    feed(estimator, traffic([*busy, Stream(straight(0.0, 0.0), 3)]), 0)
+    before = estimator.update(LaneParameters())
+    feed(estimator, traffic([Stream(straight(0.0, 0.0), 5)], seed=2), 1)
+    after = estimator.update(LaneParameters())
+    sparse = lane_near(before, 0.0)
+    assert before.lanes[sparse].status == "tentative"
+    assert after.lanes[sparse].status == "confirmed"
+    assert after.lanes[sparse].vehicles_missing == 0
+    assert after.lanes[sparse].vehicles == np.float64(before.lanes[sparse].vehicles + 5)
+    for a, b in zip(before.lanes, after.lanes, strict=True):
+        assert a.lane_id == b.lane_id
+        assert a.centerline_m.tobytes() == b.centerline_m.tobytes()
+    assert after.stamp_ns > before.stamp_ns
+
+
+def test_vehicles_where_no_lane_is_known_bring_a_new_map_at_once() -> None:
+    estimator = CurvilinearEstimator()
+    feed(estimator, traffic([Stream(straight(0.0, LANE_M * k), 40) for k in (0, 1)]), 0)
+    before = estimator.update(LaneParameters())
+    feed(estimator, traffic([Stream(straight(0.0, 3 * LANE_M), 4)], seed=2), 1)
+    after = estimator.update(LaneParameters())
+    assert len(after.lanes) == len(before.lanes) + 1
+
+
+def test_counting_and_deriving_agree_on_the_vehicles() -> None:
+    frames = traffic([Stream(straight(0.4, LANE_M * k), 50) for k in range(3)])
+    more = traffic([Stream(straight(0.4, LANE_M * k), 4) for k in range(3)], seed=7)
+    estimator = CurvilinearEstimator()
+    feed(estimator, frames, 0)
+    estimator.update(LaneParameters())
+    feed(estimator, more, 1)
+    counted = estimator.update(LaneParameters())
+    derived = estimator.lanes(LaneParameters())
+    for a, b in zip(counted.lanes, derived.lanes, strict=True):
+        assert abs(a.vehicles - b.vehicles) <= 2.0
+
+
+def test_other_parameters_are_obeyed_at_once() -> None:
+    estimator = CurvilinearEstimator()
+    feed(estimator, traffic([Stream(straight(), 20)]), 0)
+    plain = estimator.update(LaneParameters())
+    wide = estimator.update(LaneParameters(width_scale=2.0))
+    assert abs(wide.lanes[0].width_m - 2.0 * plain.lanes[0].width_m) < 1e-9
