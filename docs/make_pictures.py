@@ -28,9 +28,11 @@ from geoorbit_ros.calibration.box_projector import BoxProjector
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.core.lanes import Lane, LaneMap
 from geoorbit_ros.core.resources import share_path
+from geoorbit_ros.lanes.centerlines import LARGE_WEIGHT
 from geoorbit_ros.lanes.corridors import Corridor, find_corridors
 from geoorbit_ros.lanes.curvilinear import (
     BLUR_PER_SMOOTHING_M,
+    FEW_BETWEEN_LANES,
     MIN_HEIGHT,
     PROMINENCE_PER_ANGLE,
 )
@@ -119,14 +121,18 @@ def look_through(scene: str) -> Camera:
 def find_stages(camera: Camera, corridor: Corridor) -> Stages:
     """Profiles, density and ridges of one corridor, as the estimator computes them."""
     profiles = lateral_profiles(corridor, camera.passes, camera.worth)
-    trust = np.ones(profiles.seen.shape)
+    large = camera.passes.large[profiles.passes]
+    trust = np.where(large, LARGE_WEIGHT, 1.0)[:, None] * np.ones(profiles.seen.shape)
     for last in (False, True):
         density = lateral_density(profiles, BLUR_PER_SMOOTHING_M * THETA.smoothing, trust)
         crests = find_crests(density, MIN_HEIGHT, PROMINENCE_PER_ANGLE * THETA.angle)
         ridges = separate(hand_over(trace_ridges(crests), len(profiles.station_m)))
         if not last:
             directions = lane_directions(ridges, profiles.step_m)
-            trust *= keeping_lane(profiles, ridges, directions, corridor.scale_m)
+            keeping = keeping_lane(profiles, ridges, directions, corridor.scale_m)
+            if np.mean(keeping[profiles.seen]) >= 1.0 - FEW_BETWEEN_LANES:
+                break
+            trust *= keeping
     return Stages(profiles, density, ridges)
 
 
