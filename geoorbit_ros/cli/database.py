@@ -23,13 +23,15 @@ def info(database: DatabaseArgument) -> None:
     Example: [bold]geoorbit db info trajectories.db[/bold]
     """
     from geoorbit_ros.cli.console import console, make_table
-    from geoorbit_ros.cli.units import format_size, format_time
+    from geoorbit_ros.cli.units import count_of, format_size, format_time
     from geoorbit_ros.storage.database_reader import TrajectoryReader
 
     with TrajectoryReader(database) as reader:
         cameras = reader.cameras()
-    typer.echo(f"{database}: {format_size(database.stat().st_size)}, {len(cameras)} cameras")
-    table = make_table("", "camera|from (UTC)|to|>frames|>rows|>maps")
+    typer.echo(
+        f"{database}: {format_size(database.stat().st_size)}, {count_of(len(cameras), 'camera')}"
+    )
+    table = make_table("", "camera|from|to|>frames|>rows|>maps")
     for camera in cameras:
         table.add_row(
             camera.camera_id,

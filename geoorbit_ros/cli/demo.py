@@ -42,4 +42,4 @@ def demo(
     score(lanes, truth)
     report(calibration=calibration, out=page, bag=bag, lanes=lanes, truth=truth)
     console.print(f"\nOpen {page.resolve().as_uri()}", soft_wrap=True)
-    console.print("Next: geoorbit lanes --help, with your own tracks.csv and calibration.csv")
+    console.print("Next, with your own tracks.csv and calibration.csv: ./dev run lanes --help")

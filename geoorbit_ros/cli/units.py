@@ -19,6 +19,11 @@ def format_size(size_bytes: int) -> str:
     return f"{size_bytes} bytes"
 
 
+def count_of(number: int, noun: str) -> str:
+    """`1 camera`, `2 cameras`."""
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
+
+
 def format_time(stamp_ns: int) -> str:
     """Date and time in UTC, or seconds when the clock plainly doesn't count from 1970."""
     if stamp_ns < _EPOCH_NS:
