@@ -26,6 +26,8 @@ MIN_TRAVEL_M = 12.0
 MAX_TURN_RAD = np.pi / 3
 """Between neighbouring nodes; a sharper turn is an identity switch, not a vehicle."""
 MIN_SIGMA_M = 0.02
+VEHICLE_CLASSES = (2, 3, 5, 7)
+"""COCO car, motorcycle, bus and truck. People and bicycles have paths that are no lanes."""
 LARGE_CLASSES = (5, 7)
 """COCO bus and truck."""
 HEADING_BASE = 2
@@ -129,6 +131,7 @@ def condense(time_s: NDArray[np.float64], rows: NDArray[np.void], max_sigma_m: f
         time_s,
         np.cumsum(new) - 1,
         np.isin(rows["class_id"], LARGE_CLASSES).astype(np.float64),
+        np.isin(rows["class_id"], VEHICLE_CLASSES).astype(np.float64),
     )
     begin = time_s[new][nodes.piece]
     nodes = nodes.average(np.floor((time_s - begin) / NODE_PERIOD_S))
@@ -145,6 +148,7 @@ class _Nodes:
     time_s: NDArray[np.float64]
     piece: NDArray[np.int64]
     large: NDArray[np.float64]
+    vehicle: NDArray[np.float64]
 
     def starts(self) -> NDArray[np.bool_]:
         return np.append(True, np.diff(self.piece) != 0)
@@ -169,6 +173,7 @@ class _Nodes:
             mean(self.time_s),
             self.piece[first],
             mean(self.large),
+            mean(self.vehicle),
         )
 
 
@@ -213,7 +218,12 @@ def _cut_at_turns(nodes: _Nodes) -> _Nodes:
     cut = np.zeros(len(nodes.xy), bool)
     cut[1:-1] = (turn > MAX_TURN_RAD) & real[1:] & real[:-1]
     return _Nodes(
-        nodes.xy, nodes.sigma, nodes.time_s, np.cumsum(nodes.starts() | cut) - 1, nodes.large
+        nodes.xy,
+        nodes.sigma,
+        nodes.time_s,
+        np.cumsum(nodes.starts() | cut) - 1,
+        nodes.large,
+        nodes.vehicle,
     )
 
 
@@ -232,6 +242,8 @@ def _to_passes(nodes: _Nodes) -> Passes:
     step = nodes.xy[high] - nodes.xy[low]
     heading = np.arctan2(step[:, 1], step[:, 0])
     large = np.add.reduceat(nodes.large, first) / counts > 0.5
+    # By majority: a detector takes a van for a train now and then.
+    keep &= np.add.reduceat(nodes.vehicle, first) / counts > 0.5
     every = Passes(
         nodes.xy, nodes.sigma, heading, nodes.time_s, np.append(0, np.cumsum(counts)), large
     )

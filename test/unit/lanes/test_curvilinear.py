@@ -128,6 +128,14 @@ def test_parked_and_jittering_boxes_are_no_traffic() -> None:
     assert len(found) == 1
 
 
+def test_people_on_a_pavement_make_no_lane() -> None:
+    road = traffic([Stream(straight(0.0, 0.0), 10)])
+    people = traffic([Stream(straight(0.0, -5.0), 12, speed_mps=1.5, end_m=30.0)], seed=2)
+    mistaken = np.random.default_rng(0).uniform(size=len(people.rows)) < 0.2
+    people.rows["class_id"] = np.where(mistaken, 2, 0)
+    assert len(lanes_of(joined(road, people)).lanes) == 1
+
+
 def test_id_that_jumps_to_an_oncoming_vehicle_is_cut() -> None:
     times = np.arange(0, 40)
     rows = np.zeros(80, TRACK_DTYPE)
