@@ -42,4 +42,7 @@ def demo(
     score(lanes, truth)
     report(calibration=calibration, out=page, bag=bag, lanes=lanes, truth=truth)
     console.print(f"\nOpen {page.resolve().as_uri()}", soft_wrap=True)
-    console.print("Next, with your own tracks.csv and calibration.csv: ./dev run lanes --help")
+    console.print(
+        "Next, with your own tracks.csv and calibration.csv: geoorbit lanes --help "
+        "(in a clone: ./dev run lanes --help)"
+    )
