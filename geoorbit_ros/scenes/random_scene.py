@@ -13,23 +13,24 @@ import numpy as np
 
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.core.errors import GeoOrbitError
+from geoorbit_ros.scenes.random_roads import (
+    BEFORE_M,
+    opposite_curve,
+    random_carriageway,
+    random_curve,
+)
 from geoorbit_ros.scenes.roads import PlacedRoad, lane_chains, place_roads
 from geoorbit_ros.scenes.scene import Scene
 from geoorbit_ros.scenes.simulate import scene_camera
 from geoorbit_ros.scenes.survey import survey_control_points
 from geoorbit_ros.scenes.truth import visible_lanes
 
-BEFORE_M, AFTER_M = 330.0, 330.0
-"""Road before and after the middle of the view: vehicles are at speed when they come into it."""
 SIDE_FRICTION_MPS2 = 1.5
 """Comfortable lateral acceleration: tight bends are driven slowly (AASHTO Green Book, 3.3)."""
 SEEN_M = 40.0
 SEEN_SHARE = 0.75
 MIN_CONTROL_POINTS = 8
 TRIES = 200
-
-Piece = tuple[float, float]
-"""Length in metres and curvature to the left in 1/m."""
 
 
 class RandomSceneError(GeoOrbitError):
@@ -41,7 +42,7 @@ def random_scene(seed: int) -> Scene:
 
     Any heading; one to five lanes, with an opposite carriageway of one to five in most scenes;
     straights, bends of 150 m radius and more, S-bends; lanes of 3.0 to 3.8 m, medians up to 12 m;
-    in a third of the scenes a ramp that joins or leaves, a lane that ends or begins; 150 to 1800
+    in a fifth of the scenes a ramp that joins or leaves, a lane that ends or begins; 150 to 1800
     vehicles per hour and lane, up to 35 % of them large; a camera 7 to 20 m high, 8 to 40 m beside
     the road on either side, 45 to 90 degrees wide, 1280x720 to 3840x2160, 5 to 30 frames per
     second; a detector half to twice as noisy as the default one.
@@ -79,20 +80,22 @@ def _usable(scene: Scene, placed: dict[str, PlacedRoad], seed: int) -> bool:
 def _draft(random: np.random.Generator, seed: int) -> tuple[dict[str, Any], float]:
     """Everything but a camera; how far the roads reach to the left of the main left border."""
     lanes, width = int(random.integers(1, 6)), float(random.uniform(3.0, 3.8))
-    curve = _curve(random)
+    curve = random_curve(random)
     sharpest = max(abs(curvature) for _, curvature in curve)
     limit = float(random.choice([50.0, 70.0, 80.0, 100.0, 120.0]))
     speed = min(limit, 3.6 * math.sqrt(SIDE_FRICTION_MPS2 / max(sharpest, 1e-6)))
     events = ("join", "leave", "end", "begin") if lanes > 1 and sharpest < 1 / 400 else ()
     event = str(random.choice(events)) if events and random.uniform() < 0.5 else ""
     start = {"x_m": 0.0, "y_m": 0.0, "heading_deg": float(random.uniform(0, 360))}
-    roads, flows = _carriageway(random, "main", lanes, speed, curve, start, event)
+    roads, flows = random_carriageway(random, "main", lanes, speed, curve, start, event)
     median = float(random.uniform(0.0, 12.0)) if random.uniform() < 0.65 else None
     left_m = 0.0
     if median is not None:
         count = int(np.clip(lanes + random.integers(-1, 2), 1, 5))
-        mirrored, beginning = _mirrored(curve, start, median)
-        back, counterflows = _carriageway(random, "back", count, speed, mirrored, beginning, "")
+        mirrored, beginning = opposite_curve(curve, start, median)
+        back, counterflows = random_carriageway(
+            random, "back", count, speed, mirrored, beginning, ""
+        )
         roads, flows = roads + back, flows + counterflows
         left_m = median + count * width
     trucks = float(random.uniform(0.0, 0.35))
@@ -128,113 +131,6 @@ def _draft(random: np.random.Generator, seed: int) -> tuple[dict[str, Any], floa
         },
     }
     return draft, left_m
-
-
-def _curve(random: np.random.Generator) -> list[Piece]:
-    """The road's left border: straight, one bend, or an S."""
-    kind = random.choice(["straight", "bend", "s"], p=[0.3, 0.4, 0.3])
-    total = BEFORE_M + AFTER_M
-    if kind == "straight":
-        return [(total, 0.0)]
-    # Uniform in curvature: as many roads between 150 m and 300 m as between 300 m and straight.
-    curvature = float(random.uniform(1 / 5000, 1 / 150) * random.choice([-1.0, 1.0]))
-    length = min(float(random.uniform(60.0, 300.0)), math.radians(100.0) / abs(curvature))
-    if kind == "bend":
-        before = BEFORE_M - float(random.uniform(0.0, 1.0)) * length
-        return [(before, 0.0), (length, curvature), (total - before - length, 0.0)]
-    other = -curvature * float(random.uniform(0.5, 1.0))
-    straight = BEFORE_M - length
-    return [(straight, 0.0), (length, curvature), (length, other), (AFTER_M - length, 0.0)]
-
-
-def _carriageway(
-    random: np.random.Generator,
-    name: str,
-    lanes: int,
-    speed_kmh: float,
-    curve: list[Piece],
-    start: dict[str, float],
-    event: str,
-) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Roads and flows of one direction, with at most one event near the middle of the view."""
-
-    def road(suffix: str, count: int, pieces: list[Piece], **place: Any) -> dict[str, Any]:
-        path, speed = [_piece(p) for p in pieces], speed_kmh
-        return {"id": name + suffix, "lanes": count, "speed_kmh": speed, "path": path, **place}
-
-    shares = random.dirichlet(np.full(lanes, 5.0)).tolist()
-    per_hour = float(lanes * np.exp(random.uniform(np.log(150.0), np.log(1800.0))))
-    flow = {"route": [name], "per_hour": per_hour, "lane_shares": shares}
-    if not event:
-        return [road("", lanes, curve, start=start)], [flow]
-    at = BEFORE_M + float(random.uniform(-60.0, 60.0))
-    if event in ("end", "begin"):
-        first, second = _cut(curve, at)
-        change = 1 if event == "begin" else -1
-        # Without drivers who want to be in it, nobody would use a lane that begins.
-        parts = [road("_a", lanes, first, start=start)]
-        parts.append(road("_b", lanes + change, second, follows=parts[0]["id"]))
-        flow["route"] = [part["id"] for part in parts]
-        flows = [flow]
-        if event == "begin":
-            keen = {**flow, "per_hour": 0.4 * per_hour, "arrival_lane": 0}
-            flows = [{**flow, "per_hour": 0.6 * per_hour}, keen]
-        return parts, flows
-    length = float(random.uniform(80.0, 220.0))
-    first, rest = _cut(curve, at - length / 2)
-    middle, last = _cut(rest, length)
-    parts = [road("_a", lanes, first, start=start)]
-    parts.append(road("_b", lanes + 1, middle, follows=parts[0]["id"]))
-    parts.append(road("_c", lanes, last, follows=parts[1]["id"]))
-    flow["route"] = [part["id"] for part in parts]
-    away, turn = -1.0 / float(random.uniform(250.0, 900.0)), math.radians(random.uniform(5.0, 14.0))
-    along = (middle if event == "join" else last)[0][1]
-    bend, beside = (turn / abs(away), along + away), (150.0, along)
-    ramp_flow = {"per_hour": float(random.uniform(150.0, 900.0))}
-    if event == "join":
-        ramp = road("_ramp", 1, [beside, bend], joins={"road": parts[1]["id"], "lane": 0})
-        route = {"route": [ramp["id"], parts[1]["id"], parts[2]["id"]]}
-    else:
-        ramp = road("_ramp", 1, [bend, beside], leaves={"road": parts[1]["id"], "lane": 0})
-        right = [0.7, 0.3] + [0.0] * (lanes - 2)
-        route = {"route": [parts[0]["id"], parts[1]["id"], ramp["id"]], "lane_shares": right}
-    return [*parts, ramp], [flow, {**ramp_flow, **route}]
-
-
-def _piece(piece: Piece) -> dict[str, float]:
-    """As a scene file writes it."""
-    length, curvature = piece
-    if abs(curvature) < 1e-6:
-        return {"straight_m": length}
-    return {"radius_m": 1.0 / abs(curvature), "turn_deg": math.degrees(length * curvature)}
-
-
-def _cut(curve: list[Piece], at_m: float) -> tuple[list[Piece], list[Piece]]:
-    """The curve before and after arc length `at_m`; pieces of less than a metre are left out."""
-    before: list[Piece] = []
-    after: list[Piece] = []
-    for length, curvature in curve:
-        share = min(max(at_m, 0.0), length)
-        before.append((share, curvature))
-        after.append((length - share, curvature))
-        at_m -= length
-    return [p for p in before if p[0] >= 1.0], [p for p in after if p[0] >= 1.0]
-
-
-def _mirrored(
-    curve: list[Piece], start: dict[str, float], median_m: float
-) -> tuple[list[Piece], dict[str, float]]:
-    """The line `median_m` to the left of a curve in the other direction, and where it starts."""
-    at, heading = complex(start["x_m"], start["y_m"]), math.radians(90.0 - start["heading_deg"])
-    for length, curvature in curve:
-        turn = length * curvature
-        chord = length * (math.sin(turn / 2) / (turn / 2) if turn else 1.0)
-        at += chord * np.exp(1j * (heading + turn / 2))
-        heading += turn
-    at += median_m * np.exp(1j * (heading + math.pi / 2))
-    back = [(n * (1.0 - k * median_m), -k / (1.0 - k * median_m)) for n, k in reversed(curve)]
-    bearing = (270.0 - math.degrees(heading)) % 360.0
-    return back, {"x_m": float(at.real), "y_m": float(at.imag), "heading_deg": bearing}
 
 
 def _camera(
