@@ -14,6 +14,8 @@ from geoorbit_ros.core.errors import CalibrationError, InputFileError
 
 PIXEL_COLUMNS = ("pixel_x", "pixel_y")
 GEODETIC_COLUMNS = ("latitude", "longitude")
+GEODETIC_BOUNDS_DEG = (80.0, 180.0)
+"""No road leads beyond 80 degrees of latitude: a larger one is a longitude."""
 LOCAL_COLUMNS = ("x_m", "y_m")
 
 MIN_POINTS = 4
@@ -63,7 +65,7 @@ def read_control_points(path: str | Path, datum: Datum | None = None) -> Control
     columns, cells, line_number = _read_cells(Path(path), place)
     values = np.array(cells, dtype=np.float64).reshape(-1, len(columns))
     if columns[2:] == GEODETIC_COLUMNS:
-        for k, (column, bound) in enumerate(zip(GEODETIC_COLUMNS, (90.0, 180.0), strict=True)):
+        for k, (column, bound) in enumerate(zip(GEODETIC_COLUMNS, GEODETIC_BOUNDS_DEG, strict=True)):
             bad = np.flatnonzero(np.abs(values[:, 2 + k]) > bound)
             if len(bad):
                 raise InputFileError(

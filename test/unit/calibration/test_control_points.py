@@ -81,6 +81,7 @@ def test_column_order_spare_columns_blank_lines_and_a_byte_order_mark(tmp_path: 
         (line(GEODETIC, 4, "150,900,43.0401,"), ["line 4", "'longitude'", "''"]),
         (line(GEODETIC, 4, "150,900"), ["line 4", "2 values", "4"]),
         (line(GEODETIC, 2, "100,200,-93.4,43.04"), ["line 2", "-93.4", "swapped"]),
+        (line(GEODETIC, 2, "100,200,-89.34,43.04"), ["line 2", "-89.34", "swapped"]),
     ],
 )
 def test_unreadable_values_are_named(tmp_path: Path, text: str, words: list[str]) -> None:
