@@ -55,8 +55,9 @@ def _beside(line: Centerline, neighbour: Centerline) -> Centerline:
     emptying = (traffic < EMPTYING) & (neighbour.support[there] > line.support[own])
     moved = np.zeros(len(line.d), bool)
     flag = drifts & emptying
-    # Only runs that reach an end of the common stretch: a dip in the middle is real.
-    moved[own] = _run_at_start(flag) | _run_at_start(flag[::-1])[::-1]
+    # Only runs that reach an end of the lane: a dip in the middle is real.
+    begins, ends = low == line.station[0], high == line.station[-1] + 1
+    moved[own] = (_run_at_start(flag) & begins) | (_run_at_start(flag[::-1])[::-1] & ends)
     if not moved.any():
         return line
     d = line.d.copy()

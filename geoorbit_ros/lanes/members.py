@@ -69,7 +69,11 @@ def find_members(
     wanted_m = min(FULL_SUPPORT * scale_m, 0.5 * len(ridge.d) * profiles.step_m)
     vehicles, evidence = _distinct(profiles, inside, enough, wanted_m)
     return Members(
-        inside, vehicles, evidence, mass / max(mass + stray, 1e-9), _presence(profiles, ridge)
+        inside,
+        vehicles,
+        evidence,
+        mass / max(mass + stray, 1e-9),
+        _presence(profiles, ridge, inside),
     )
 
 
@@ -88,7 +92,7 @@ def keeping_lane(
         scale_m: The corridor's scale.
     """
     shape = profiles.seen.shape
-    nearest = np.full(shape, BAND_M)
+    nearest = np.full(shape, MIN_SPACING_M)
     direction = profiles.slope.copy()
     for ridge, slope in zip(ridges, directions, strict=True):
         cut = slice(ridge.first, ridge.first + len(ridge.d))
@@ -100,12 +104,14 @@ def keeping_lane(
     return np.asarray(1.0 / (1.0 + across**4))
 
 
-def _presence(profiles: Profiles, ridge: Ridge) -> float:
+def _presence(profiles: Profiles, ridge: Ridge, inside: NDArray[np.bool_]) -> float:
     middle = np.interp(np.arange(profiles.seen.shape[1]), ridge.stations, ridge.d)
     band = profiles.seen & (np.abs(profiles.d - middle) <= BAND_M)
     traffic = profiles.weight @ band
     cut = slice(ridge.first, ridge.first + len(ridge.d))
-    return float(np.median(traffic[cut]) / max(traffic.max(), 1e-9))
+    # Where its own vehicles are: a busy lane stays one though a few are seen far beyond.
+    own = profiles.weight @ inside
+    return float((own @ traffic[cut]) / max(own.sum() * traffic.max(), 1e-9))
 
 
 def _distinct(

@@ -26,6 +26,9 @@ MIN_TRAVEL_M = 12.0
 MAX_TURN_RAD = np.pi / 3
 """Between neighbouring nodes; a sharper turn is an identity switch, not a vehicle."""
 MIN_SIGMA_M = 0.02
+MAX_LATERAL_MPS2 = 8.0
+"""Lateral acceleration on dry asphalt that no everyday driver exceeds."""
+MIN_BREAK_RAD = 0.35
 VEHICLE_CLASSES = (2, 3, 5, 7)
 """COCO car, motorcycle, bus and truck. People and bicycles have paths that are no lanes."""
 LARGE_CLASSES = (5, 7)
@@ -208,15 +211,24 @@ def _travel_m(nodes: _Nodes) -> NDArray[np.float64]:
 
 
 def _cut_at_turns(nodes: _Nodes) -> _Nodes:
-    """Cut where the direction of travel breaks: there an id went from one vehicle to another."""
+    """Cut where the direction of travel breaks: there an id went from one vehicle to another.
+
+    A vehicle at speed v turns by at most a / v per second, a being its largest lateral
+    acceleration; what the nodes' errors can feign is allowed on top.
+    """
     step = np.diff(nodes.xy, axis=0)
     inside = np.diff(nodes.piece) == 0
     turn = np.abs(wrap_rad(np.diff(np.arctan2(step[:, 1], step[:, 0]))))
-    length = np.hypot(*step.T)
-    noise = 2.0 * np.maximum(nodes.sigma[1:], nodes.sigma[:-1])
-    real = inside & (length > noise)
+    length = np.maximum(np.hypot(*step.T), 1e-3)
+    dt = np.maximum(np.diff(nodes.time_s), 1e-3)
+    error = np.maximum(nodes.sigma[1:], nodes.sigma[:-1])
+    speed = 0.5 * (length[1:] / dt[1:] + length[:-1] / dt[:-1])
+    feigned = 3.0 * np.hypot(error[1:] / length[1:], error[:-1] / length[:-1])
+    possible = MAX_LATERAL_MPS2 * 0.5 * (dt[1:] + dt[:-1]) / np.maximum(speed, 0.1)
+    real = inside & (length > 2.0 * error)
+    impossible = (turn > possible + feigned) & (turn > MIN_BREAK_RAD) & inside[1:] & inside[:-1]
     cut = np.zeros(len(nodes.xy), bool)
-    cut[1:-1] = (turn > MAX_TURN_RAD) & real[1:] & real[:-1]
+    cut[1:-1] = ((turn > MAX_TURN_RAD) & real[1:] & real[:-1]) | impossible
     return _Nodes(
         nodes.xy,
         nodes.sigma,
