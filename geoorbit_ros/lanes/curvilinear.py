@@ -20,7 +20,7 @@ from geoorbit_ros.lanes.density import Density, find_crests, lateral_density
 from geoorbit_ros.lanes.evidence import Evidence
 from geoorbit_ros.lanes.identity import LaneRegistry
 from geoorbit_ros.lanes.increment import LaneCounter
-from geoorbit_ros.lanes.junctions import hand_over, lane_directions
+from geoorbit_ros.lanes.junctions import hand_over, is_alone, lane_directions
 from geoorbit_ros.lanes.lane_ends import straighten_ends
 from geoorbit_ros.lanes.members import find_members, keeping_lane
 from geoorbit_ros.lanes.parameters import LaneParameters
@@ -34,6 +34,8 @@ BLUR_PER_SMOOTHING_M = 0.045
 PROMINENCE_PER_ANGLE = 0.5
 MIN_HEIGHT = 0.3
 FEW_BETWEEN_LANES = 0.05
+MIN_LENGTH = 0.4
+"""Shortest lane worth showing, in road scales: half a second of travel."""
 GROWTH = 0.5
 MAX_GROWTH = 100
 """Share, and number of passes, by which the evidence grows before a derivation: the errors of a
@@ -175,10 +177,11 @@ def _candidates(
         density, ridges, directions = _crests(profiles, trust, blur_m, prominence)
     found = []
     for ridge, direction in zip(ridges, directions, strict=True):
-        members = find_members(profiles, ridge, direction, corridor.scale_m)
+        alone = is_alone(ridge, ridges)
+        members = find_members(profiles, ridge, direction, corridor.scale_m, alone)
         line = fit_centerline(profiles, ridge, members, trust, 2.0 * corridor.scale_m)
-        if line is not None:
-            length_m = (len(line.d) - 1) * profiles.step_m
+        length_m = 0.0 if line is None else (len(line.d) - 1) * profiles.step_m
+        if line is not None and length_m >= MIN_LENGTH * corridor.scale_m:
             evidence = LaneEvidence(
                 members.evidence,
                 members.lane_share,

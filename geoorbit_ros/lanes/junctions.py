@@ -62,6 +62,20 @@ def lane_directions(ridges: list[Ridge], step_m: float) -> list[NDArray[np.float
     return result
 
 
+def is_alone(ridge: Ridge, ridges: list[Ridge]) -> bool:
+    """Whether no other ridge runs beside this one anywhere."""
+    for other in ridges:
+        low = max(ridge.first, other.first)
+        high = min(ridge.first + len(ridge.d), other.first + len(other.d))
+        if other is ridge or high <= low:
+            continue
+        gap = ridge.d[low - ridge.first : high - ridge.first]
+        gap = np.abs(gap - other.d[low - other.first : high - other.first])
+        if gap.min() <= BESIDE_M:
+            return False
+    return True
+
+
 def _mirrored(ridge: Ridge, stations: int) -> Ridge:
     first = stations - ridge.first - len(ridge.d)
     return Ridge(first, ridge.d[::-1], ridge.height[::-1])

@@ -23,6 +23,8 @@ SAME_VEHICLE_S = 0.6
 closer in time are one vehicle whose track was broken or doubled."""
 
 
+SIDEWAYS_ALONE_M = 1.5
+"""The same where no other lane is near, so that only the slope's own error matters."""
 FULL_SUPPORT = 1.25
 """Length in road scales over which a vehicle must be seen in a lane to count in full."""
 
@@ -48,7 +50,11 @@ class Members:
 
 
 def find_members(
-    profiles: Profiles, ridge: Ridge, direction: NDArray[np.float64], scale_m: float
+    profiles: Profiles,
+    ridge: Ridge,
+    direction: NDArray[np.float64],
+    scale_m: float,
+    alone: bool = False,
 ) -> Members:
     """Vehicles that drive along `ridge` for a while.
 
@@ -57,11 +63,13 @@ def find_members(
         ridge: The candidate lane.
         direction: (J',) slope dd/ds that driving along the lane has at each of its stations.
         scale_m: The corridor's scale.
+        alone: No other lane is beside this one, so that sideways movement is no lane change.
     """
     cut = slice(ridge.first, ridge.first + len(ridge.d))
+    sideways_m = SIDEWAYS_ALONE_M if alone else SIDEWAYS_M
     offset = profiles.d[:, cut] - ridge.d
     near = profiles.seen[:, cut] & (np.abs(offset) <= MAX_OFFSET_M)
-    along = near & (np.abs(profiles.slope[:, cut] - direction) <= SIDEWAYS_M / scale_m)
+    along = near & (np.abs(profiles.slope[:, cut] - direction) <= sideways_m / scale_m)
     enough = along.sum(axis=1) * profiles.step_m >= MIN_SUPPORT * scale_m
     inside = along & enough[:, None]
     mass = float(profiles.weight @ inside.sum(axis=1))

@@ -21,7 +21,7 @@ MAX_PIECE_S = 60.0
 NODE_PERIOD_S = 0.2
 NODE_SPACING_M = 2.0
 MAX_SPEED_MPS = 70.0
-MIN_TRAVEL_M = 12.0
+MIN_TRAVEL_M = 8.0
 """Less net travel is a parked or jittering box, not traffic."""
 MAX_TURN_RAD = np.pi / 3
 """Between neighbouring nodes; a sharper turn is an identity switch, not a vehicle."""
