@@ -217,3 +217,32 @@ def test_three_of_four_points_on_a_line_are_refused() -> None:
 
 def test_the_type_is_the_one_that_is_returned() -> None:
     assert isinstance(fit_homography(Camera().control_points()), Homography)
+
+
+def test_a_narrow_field_of_good_points_makes_no_wild_plane() -> None:
+    """Points along the borders of a bend: half of them also fit a plane seen edge-on."""
+    table = np.array(
+        [
+            [1241.87, 581.31, -342.708, -232.573],
+            [583.82, 401.60, -317.797, -189.354],
+            [936.98, 421.38, -314.717, -221.063],
+            [1143.41, 428.79, -311.654, -236.679],
+            [753.46, 447.90, -328.781, -208.410],
+            [1044.78, 526.99, -338.702, -225.633],
+            [1235.25, 476.25, -324.635, -238.340],
+            [1039.67, 411.90, -307.675, -229.720],
+            [846.62, 472.74, -332.755, -215.250],
+            [1134.52, 551.83, -340.728, -229.097],
+            [664.95, 423.38, -323.804, -199.745],
+            [969.20, 506.87, -336.729, -222.200],
+            [837.47, 402.59, -309.759, -212.425],
+            [903.98, 488.23, -334.738, -218.738],
+            [1095.01, 450.73, -320.625, -231.456],
+            [1186.08, 565.01, -341.711, -230.848],
+        ]
+    )
+    points = ControlPoints(table[:, :2], table[:, 2:], None, np.arange(2, 18), "bend.csv")
+    residual = fit_homography(points).residual
+    assert residual.inlier.all()
+    assert residual.pixel_error.max() < 1.5
+    assert residual.ground_error_m.max() < 0.25
