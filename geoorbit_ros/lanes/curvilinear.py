@@ -36,14 +36,15 @@ MIN_HEIGHT = 0.3
 FEW_BETWEEN_LANES = 0.05
 MIN_LENGTH = 0.4
 """Shortest lane worth showing, in road scales: half a second of travel."""
-GROWTH = 0.5
+GROWTH = 1.0
 MAX_GROWTH = 100
-"""Share, and number of passes, by which the evidence grows before a derivation: the errors of a
-centreline shrink with the root of the traffic, a fifth for the first share, a thirtieth later."""
+"""Share, and number of passes, by which the evidence grows before a derivation: a centreline's
+error shrinks with the root of the traffic, so less would hardly move it."""
 RETRACE = 0.1
 """Share of the evidence that must be new for the reference curves to be traced anew."""
 STRAYS = 3
-"""Vehicles where no lane is known that call for a derivation at once."""
+STRAY_SHARE = 0.25
+"""Vehicles outside all known lanes, and their share of the new ones, that call for a derivation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +137,9 @@ class CurvilinearEstimator:
         fresh = self._evidence.finished_after(last.finished, last.lane_map.stamp_ns)
         counts, elsewhere = last.counter.count(fresh)
         grown = self._evidence.finished_ever - last.finished
-        if grown >= min(GROWTH * last.passes, MAX_GROWTH) or elsewhere >= STRAYS:
+        if grown >= min(GROWTH * last.passes, MAX_GROWTH) or elsewhere >= max(
+            STRAYS, STRAY_SHARE * len(fresh)
+        ):
             return self.lanes(parameters)
         lanes = []
         for lane, count in zip(last.lane_map.lanes, counts.tolist(), strict=True):
