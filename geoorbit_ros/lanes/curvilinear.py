@@ -43,7 +43,7 @@ error shrinks with the root of the traffic, so less would hardly move it."""
 RETRACE = 0.1
 """Share of the evidence that must be new for the reference curves to be traced anew."""
 STRAYS = 3
-STRAY_SHARE = 0.25
+STRAY_SHARE = 0.4
 """Vehicles outside all known lanes, and their share of the new ones, that call for a derivation."""
 
 
