@@ -65,7 +65,8 @@ def read_control_points(path: str | Path, datum: Datum | None = None) -> Control
     columns, cells, line_number = _read_cells(Path(path), place)
     values = np.array(cells, dtype=np.float64).reshape(-1, len(columns))
     if columns[2:] == GEODETIC_COLUMNS:
-        for k, (column, bound) in enumerate(zip(GEODETIC_COLUMNS, GEODETIC_BOUNDS_DEG, strict=True)):
+        limits = zip(GEODETIC_COLUMNS, GEODETIC_BOUNDS_DEG, strict=True)
+        for k, (column, bound) in enumerate(limits):
             bad = np.flatnonzero(np.abs(values[:, 2 + k]) > bound)
             if len(bad):
                 raise InputFileError(

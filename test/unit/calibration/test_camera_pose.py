@@ -20,7 +20,7 @@ from geoorbit_ros.core.errors import CalibrationError
     st.floats(4, 60),
     st.floats(0, 360),
     st.floats(8, 60),
-    st.floats(600, 5000),
+    st.floats(600, 3000),
     st.sampled_from([(1920, 1080), (1280, 960), (704, 1200)]),
 )
 def test_exact_recovery(
