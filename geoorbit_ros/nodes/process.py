@@ -60,7 +60,8 @@ def run_node(make: Callable[[], GeoOrbitNode[Any]], args: Sequence[str] | None =
         print(error, file=sys.stderr)
         return 2
     except Exception:
-        if not told_to_end:  # else the context ended while the node was being made
+        # Told to end while the node was being made, its context is gone and anything may fail.
+        if not told_to_end:
             raise
     finally:
         if node is not None:
