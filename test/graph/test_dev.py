@@ -22,7 +22,8 @@ echo "$@" >>{log}
 if [[ $1 == venv ]]; then
     venv=${{@: -1}}
     mkdir -p "$venv/bin"
-    printf '#!/bin/sh\\nexec {python} "$@"\\n' >"$venv/bin/python"
+    printf '#!/bin/sh\\n[ "$2" = pip ] && echo "pip $*" >>{log} || exec {python} "$@"\\n' \\
+        >"$venv/bin/python"
     printf '#!/bin/sh\\necho "$PWD|$*|$RMW_IMPLEMENTATION|$PYTHONPATH"\\n' >"$venv/bin/geoorbit"
     {chmod} +x "$venv"/bin/*
 fi
@@ -92,7 +93,7 @@ def machine(tmp_path: Path) -> Machine:
         if found := shutil.which(tool):
             (tmp_path / "bin" / tool).symlink_to(found)
     (machine.checkout / "requirements").mkdir(parents=True)
-    for name in ("dev", "setup.py", "setup.cfg", "requirements/lock.txt"):
+    for name in ("dev", "setup.py", "setup.cfg", "requirements/lock.txt", "requirements/torch.txt"):
         shutil.copy2(REPOSITORY / name, machine.checkout / name)
     return machine
 
@@ -132,6 +133,7 @@ def test_the_environment_is_made_once_and_again_when_the_requirements_change(
     assert machine.dev("run").returncode == 0
     assert machine.dev("run").returncode == 0
     assert machine.installations() == 1
+    assert "pip -m pip install" in machine.log.read_text(), "PyTorch needs pip, even beside uv"
     with (machine.checkout / "requirements" / "lock.txt").open("a") as lock:
         lock.write("another==1.0\n")
     assert machine.dev("run").returncode == 0

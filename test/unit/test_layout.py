@@ -112,13 +112,22 @@ def test_every_third_party_import_is_a_declared_requirement() -> None:
         DISTRIBUTIONS.get(name, name).replace("_", "-").lower()
         for name in top_level_imports() - messages - ROS_ONLY
     }
-    assert needed <= set(runtime), "add it to requirements/runtime.txt, setup.cfg and ADR 0002"
+    assert needed <= {*runtime, *pinned("torch.txt")}, (
+        "add it to requirements/runtime.txt, setup.cfg and ADR 0002"
+    )
 
 
 def test_setup_cfg_requires_what_runtime_txt_pins() -> None:
-    lines = setup_cfg()["options"]["install_requires"].split()
+    configuration = setup_cfg()
+    extras = " ".join(configuration["options.extras_require"].values())
+    lines = (configuration["options"]["install_requires"] + extras).split()
     names = {re.split(r"[\[<>=]", line)[0].lower() for line in lines}
-    assert names == set(pinned("runtime.txt"))
+    assert names == {*pinned("runtime.txt"), "torch"}
+
+
+def test_the_lock_agrees_with_what_pytorch_needs() -> None:
+    torch, lock = pinned("torch.txt"), pinned("lock.txt")
+    assert {name: lock[name] for name in torch if name in lock}.items() <= torch.items()
 
 
 @pytest.mark.parametrize("file", ["runtime.txt", "dev.txt"])
