@@ -15,17 +15,16 @@ from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE, TRACK_DTYPE, Frames
 from geoorbit_ros.scenes.camera import PinholeCamera, look_at
 from geoorbit_ros.scenes.detector_model import DetectorModel, View
+from geoorbit_ros.scenes.moving_traffic import MovingTraffic
 from geoorbit_ros.scenes.roads import PlacedRoad, place_roads
 from geoorbit_ros.scenes.scene import Scene
 from geoorbit_ros.scenes.survey import survey_control_points
-from geoorbit_ros.scenes.traffic import STEP_S, TrafficRecord, simulate_traffic
+from geoorbit_ros.scenes.traffic import simulate_traffic
 from geoorbit_ros.scenes.truth import TruthCounter, visible_lanes
-from geoorbit_ros.scenes.vehicles import VEHICLE_TYPES
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the share of it that is."""
 
-WANDER_TIME_S = 4.0
 CLEAN_SIGMA_M = 0.02
 START_NS = 1_000_000_000
 """Stamp of the first frame; zero stamps mean 'unset' in ROS."""
@@ -78,15 +77,15 @@ def simulate(
         ParameterError: A duration or a seed out of range.
         NetworkError, TrafficError: SUMO is not installed, or refuses the scene.
     """
-    _check_range("duration", duration_s, MIN_DURATION_S, MAX_DURATION_S, "s")
-    _check_range("seed", seed, 0, MAX_SEED)
+    check_range("duration", duration_s, MIN_DURATION_S, MAX_DURATION_S, "s")
+    check_range("seed", seed, 0, MAX_SEED)
     report = progress or (lambda _what, _share: None)
     placed = place_roads(scene)
     camera = scene_camera(scene, placed)
     report("traffic", 0.0)
     record = simulate_traffic(scene, placed, duration_s, seed)
     report("traffic", 1.0)
-    wandered = _wander(record, scene, seed)
+    traffic = MovingTraffic(record, scene, seed)
     lanes = visible_lanes(placed, camera)
     counter = TruthCounter(lanes, record.lane_names)
     model = DetectorModel(camera, scene.detector, seed)
@@ -97,7 +96,7 @@ def simulate(
         ideal_s = k / scene.camera.fps
         jitter = scene.detector.time_jitter_s * float(np.clip(random.standard_normal(), -3.0, 3.0))
         time_s = max(ideal_s + min(jitter, 0.3 / scene.camera.fps), 0.0)
-        view, lane, velocity = _view(record, wandered, time_s)
+        view, lane, velocity = traffic.at(time_s)
         rows, vehicles = model.detect(time_s, view)
         counter.count(vehicles, view, lane)
         stamps.append(START_NS + round(time_s * 1e9))
@@ -119,7 +118,12 @@ def simulate(
     )
 
 
-def _check_range(name: str, value: float, low: float, high: float, unit: str = "") -> None:
+def check_range(name: str, value: float, low: float, high: float, unit: str = "") -> None:
+    """Refuse a number that a run can't be made with.
+
+    Raises:
+        ParameterError: `value` is not between `low` and `high`.
+    """
     if not low <= value <= high:
         raise ParameterError(
             name, f"{value:g} {unit}".strip(), f"{low:.3g} to {high:.10g} {unit}".strip()
@@ -132,49 +136,6 @@ def scene_camera(scene: Scene, placed: dict[str, PlacedRoad]) -> PinholeCamera:
     centre = np.append(placed[pole.road].point(pole.along_m, pole.right_m), scene.camera.height_m)
     middle = np.append(placed[target.road].point(target.along_m, target.right_m), 0.0)
     return look_at(centre, middle, scene.camera.horizontal_fov_deg, scene.camera.image_size)
-
-
-def _wander(record: TrafficRecord, scene: Scene, seed: int) -> NDArray[np.float64]:
-    """(N, 2) positions with each driver's habit and slow wander across the lane."""
-    random = np.random.default_rng([seed, 4])
-    count = len(record.vehicle_types)
-    habit = scene.traffic.driver_offset_sigma_m * np.clip(random.standard_normal(count), -2.0, 2.0)
-    steps = int(record.step.max(initial=0)) + 1
-    fade = np.exp(-STEP_S / WANDER_TIME_S)
-    noise = random.standard_normal((steps, count))
-    drift = np.empty_like(noise)
-    drift[0] = noise[0]
-    for k in range(1, steps):
-        drift[k] = fade * drift[k - 1] + np.sqrt(1.0 - fade**2) * noise[k]
-    offset = (
-        habit[record.vehicle] + scene.traffic.wander_sigma_m * drift[record.step, record.vehicle]
-    )
-    normal = np.column_stack([-np.sin(record.heading), np.cos(record.heading)])
-    return np.asarray(record.xy + offset[:, None] * normal)
-
-
-def _view(
-    record: TrafficRecord, xy: NDArray[np.float64], time_s: float
-) -> tuple[View, NDArray[np.int64], NDArray[np.float64]]:
-    """Vehicles at `time_s`, between two steps; lane number (N,) and velocity (N, 2) of each."""
-    at = time_s / STEP_S
-    before = int(np.floor(at))
-    a = slice(*np.searchsorted(record.step, [before, before + 1]))
-    b = slice(*np.searchsorted(record.step, [before + 1, before + 2]))
-    common, ia, ib = np.intersect1d(record.vehicle[a], record.vehicle[b], return_indices=True)
-    share = at - before
-    start, end = xy[a][ia], xy[b][ib]
-    turn = record.heading[b][ib] - record.heading[a][ia]
-    turn = (turn + np.pi) % (2 * np.pi) - np.pi
-    classes = np.array([VEHICLE_TYPES[t].coco_class for t in record.vehicle_types], dtype=np.int64)
-    view = View(
-        common,
-        start + share * (end - start),
-        record.heading[a][ia] + share * turn,
-        record.vehicle_sizes[common],
-        classes[common],
-    )
-    return view, record.lane[a][ia], (end - start) / STEP_S
 
 
 def _clean_rows(
