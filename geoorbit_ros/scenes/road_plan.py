@@ -5,18 +5,12 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
-from geoorbit_ros.scenes.scene_errors import WrongValue
+from geoorbit_ros.storage.yaml_file import StrictModel, WrongValue
 
 Positive = Annotated[float, Field(gt=0.0)]
 Length = Annotated[float, Field(ge=1.0, le=5000.0)]
-
-
-class StrictModel(BaseModel):
-    """Immutable, without unknown keys, NaN or infinities."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class Straight(StrictModel):
@@ -118,7 +112,7 @@ class Road(StrictModel):
 
     id: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
     lanes: int = Field(ge=1, le=8)
-    path: list[Piece] = []
+    path: list[Piece] = Field(default=[])
     speed_kmh: Positive = 100.0
     start: Start | None = None
     follows: str | None = None

@@ -5,15 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import yaml
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from geoorbit_ros.core.errors import InputFileError
 from geoorbit_ros.core.resources import share_path
-from geoorbit_ros.scenes.road_plan import Positive, Road, RoadPoint, StrictModel
-from geoorbit_ros.scenes.scene_errors import WrongValue, broken_yaml, wrong_scene
+from geoorbit_ros.scenes.road_plan import Positive, Road, RoadPoint
 from geoorbit_ros.scenes.scene_rules import check_scene
 from geoorbit_ros.scenes.vehicles import VEHICLE_TYPES
+from geoorbit_ros.storage.yaml_file import StrictModel, WrongValue, read_yaml
 
 _FOLDER = "params/scenes"
 
@@ -155,20 +154,4 @@ def load_scene(path: str | Path) -> Scene:
             expected = f"a file, or one of {', '.join(shipped_scenes())}"
             raise InputFileError(f"scene '{path}'", "no such scene", expected)
         file = share_path(f"{_FOLDER}/{path}.yaml")
-    try:
-        text = file.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "no text in UTF-8"
-        raise InputFileError(str(path), reason.lower(), "a scene file in YAML") from error
-    try:
-        return Scene.model_validate(yaml.safe_load(text))
-    except yaml.YAMLError as error:
-        raise broken_yaml(error, str(file)) from error
-    except ValidationError as error:
-        raise wrong_scene(error, text, str(file), _keys()) from error
-
-
-def _keys() -> set[str]:
-    """All keys that may stand somewhere in a scene file."""
-    models = StrictModel.__subclasses__()
-    return {key for model in models for key in model.model_fields}
+    return read_yaml(file, Scene, "scene")

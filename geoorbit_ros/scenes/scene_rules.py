@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from geoorbit_ros.scenes.scene_errors import Key, WrongValue
+from geoorbit_ros.storage.yaml_file import Key, WrongValue
 
 if TYPE_CHECKING:
     from geoorbit_ros.scenes.road_plan import Road, RoadPoint

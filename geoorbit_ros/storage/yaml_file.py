@@ -1,16 +1,21 @@
-"""What is wrong in a scene file, as one sentence with file, line, key, value and expectation."""
+"""YAML files that people write, checked by a pydantic model.
+
+What is wrong is said in one sentence with file, line, key, value and expectation.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
-from typing import Any
+from pathlib import Path
+from typing import Any, TypeVar
 
 import yaml
-from pydantic import ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from geoorbit_ros.core.errors import InputFileError
 
+Model = TypeVar("Model", bound=BaseModel)
 Key = tuple[str | int, ...]
 """Keys and list positions on the way from the file's top to a value."""
 
@@ -46,26 +51,54 @@ def spell(key: Iterable[str | int]) -> str:
     return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in key).lstrip(".")
 
 
-def broken_yaml(error: yaml.YAMLError, file: str) -> InputFileError:
-    """The error for a file that is no YAML."""
+class StrictModel(BaseModel):
+    """Immutable, without unknown keys, NaN or infinities."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+def read_yaml(file: Path, model: type[Model], kind: str) -> Model:
+    """Read a file and check it.
+
+    Args:
+        file: In UTF-8.
+        model: What it must be.
+        kind: What such a file is called, for messages: `scene`, `fleet`.
+
+    Raises:
+        InputFileError: No such file, broken YAML, or the first value that the model refuses.
+    """
+    try:
+        text = file.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "no text in UTF-8"
+        raise InputFileError(str(file), reason.lower(), f"a {kind} file in YAML") from error
+    try:
+        return model.model_validate(yaml.safe_load(text))
+    except yaml.YAMLError as error:
+        raise _broken_yaml(error, str(file), kind) from error
+    except ValidationError as error:
+        raise _wrong_value(error, text, str(file), kind, _keys(model)) from error
+
+
+def _keys(model: type[BaseModel]) -> list[str]:
+    """All keys that a file of this model may have somewhere."""
+    schema = model.model_json_schema()
+    parts = [schema, *schema.get("$defs", {}).values()]
+    return [key for part in parts for key in part.get("properties", {})]
+
+
+def _broken_yaml(error: yaml.YAMLError, file: str, kind: str) -> InputFileError:
     mark = getattr(error, "problem_mark", None)
     place = f"{file}, line {mark.line + 1}" if mark else file
     problem = getattr(error, "problem", None)
     found = f"broken YAML ({problem})" if problem else "broken YAML"
-    return InputFileError(place, found, "a scene file")
+    return InputFileError(place, found, f"a {kind} file")
 
 
-def wrong_scene(
-    error: ValidationError, text: str, file: str, known_keys: Iterable[str]
+def _wrong_value(
+    error: ValidationError, text: str, file: str, kind: str, known_keys: list[str]
 ) -> InputFileError:
-    """The error for the first value that a scene can't have.
-
-    Args:
-        error: What pydantic found.
-        text: The file's content.
-        file: Its name.
-        known_keys: All keys that a scene file may have somewhere, to correct a misspelt one.
-    """
     errors = error.errors()
     # A misspelt key is also a missing one: say what was spelt.
     unknown = [e for e in errors if e["type"] == "extra_forbidden"]
@@ -75,19 +108,19 @@ def wrong_scene(
         key, found, expected = (*first["loc"], *cause.key), str(cause.found), cause.expected
     else:
         key = first["loc"]
-        found, expected = _words(first, list(known_keys))
+        found, expected = _words(first, kind, known_keys)
     line, key = _find(text, key)
     place = f"{file}, line {line}" + (f", key '{spell(key)}'" if key else "")
     return InputFileError(place, found, expected)
 
 
-def _words(error: Mapping[str, Any], known_keys: list[str]) -> tuple[str, str]:
+def _words(error: Mapping[str, Any], kind: str, known_keys: list[str]) -> tuple[str, str]:
     """What was found and expected, from pydantic's error."""
     if error["type"] == "missing" or error["input"] is None:
         return "nothing", _EXPECTED.get(error["type"], "a value")
     if error["type"] == "extra_forbidden":
         close = get_close_matches(str(error["loc"][-1]), known_keys, n=1)
-        return "an unknown key", f"'{close[0]}'?" if close else "a key that scene files have"
+        return "an unknown key", f"'{close[0]}'?" if close else f"a key that {kind} files have"
     value = repr(error["input"])
     value = value if len(value) <= 60 else f"{value[:60]}..."
     return value, _EXPECTED.get(error["type"], error["msg"].removeprefix("Input should be "))
