@@ -1,0 +1,1 @@
+"""Where images come from: video files, network streams, folders of images."""

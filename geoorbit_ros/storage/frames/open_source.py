@@ -1,0 +1,47 @@
+"""From the words by which a user names a source to the source."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import MappingProxyType
+
+from geoorbit_ros.core.errors import ParameterError
+from geoorbit_ros.storage.frames.image_folder import ImageFolder
+from geoorbit_ros.storage.frames.source import FrameSource, SourceOptions
+from geoorbit_ros.storage.frames.stream import SCHEMES, Stream
+from geoorbit_ros.storage.frames.video_file import VideoFile
+
+SourceMaker = Callable[[str, SourceOptions], FrameSource]
+"""Makes a source from the whole text that names it."""
+
+_NONE: Mapping[str, SourceMaker] = MappingProxyType({})
+
+
+def open_frame_source(
+    spec: str, options: SourceOptions | None = None, more: Mapping[str, SourceMaker] = _NONE
+) -> FrameSource:
+    """Open a video file, a stream, a folder of images, or what a further scheme names.
+
+    Args:
+        spec: `recording.mp4`, `rtsp://…` or `http://…`, a folder, or `<scheme>:…` of `more`.
+        options: How; default: all defaults.
+        more: Makers of further sources by scheme; `scenes.frame_source.SCENES` for `scene:NAME`.
+
+    Raises:
+        FrameSourceError: Nothing that can be read. A stream says so only when it is iterated.
+        ParameterError: An empty text, or a frame rate that is none.
+    """
+    options = options or SourceOptions()
+    if not spec.strip():
+        raise ParameterError("source", "nothing", "a video file, an address, a folder or a scene")
+    if options.fps is not None and not 0.0 < options.fps <= 1000.0:
+        raise ParameterError("fps", f"{options.fps:g}", "above 0 to 1000 frames per second")
+    scheme, colon, rest = spec.partition(":")
+    if colon and scheme in more:
+        return more[scheme](spec, options)
+    if scheme.lower() in SCHEMES and rest.startswith("//"):
+        return Stream(spec, options)
+    if Path(spec).is_dir():
+        return ImageFolder(spec, options)
+    return VideoFile(spec.removeprefix("file://"), options)
