@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE
+from geoorbit_ros.core.tables import FLAG_TRUNCATED, PIXEL_TRACK_DTYPE
 from geoorbit_ros.scenes.camera import PinholeCamera, body_corners
 from geoorbit_ros.scenes.scene import Detector
 
@@ -51,6 +51,27 @@ def exact_boxes(
     boxes = np.column_stack([pixel.min(axis=1), pixel.max(axis=1)])
     boxes[~in_front] = np.nan
     return boxes, depth.mean(axis=1)
+
+
+def true_boxes(camera: PinholeCamera, view: View, min_height_px: float) -> NDArray[np.void]:
+    """Rows (M,) `PIXEL_TRACK_DTYPE`: the exact boxes in the image, id = vehicle number + 1.
+
+    Left out are those below `min_height_px` and those cut by the border to less than
+    `MIN_VISIBLE_SHARE`; cut ones are flagged, hidden ones are there.
+    """
+    boxes, _ = exact_boxes(camera, view)
+    width, height = camera.image_size
+    clipped = np.clip(boxes, 0.0, [width, height, width, height])
+    size, full = clipped[:, 2:] - clipped[:, :2], boxes[:, 2:] - boxes[:, :2]
+    area, whole = size.prod(axis=1), full.prod(axis=1)
+    tall = np.nan_to_num(size[:, 1])
+    keep = (tall >= min_height_px) & (area >= MIN_VISIBLE_SHARE * whole)
+    rows = np.zeros(int(keep.sum()), PIXEL_TRACK_DTYPE)
+    _fill(rows, clipped[keep])
+    rows["score"], rows["class_id"] = 1.0, view.coco_class[keep]
+    rows["track_id"] = view.vehicle[keep] + 1
+    rows["flags"] = np.where(area[keep] < whole[keep], FLAG_TRUNCATED, 0)
+    return rows
 
 
 class DetectorModel:

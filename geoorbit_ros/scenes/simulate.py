@@ -14,7 +14,7 @@ from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE, TRACK_DTYPE, Frames
 from geoorbit_ros.scenes.camera import PinholeCamera, look_at
-from geoorbit_ros.scenes.detector_model import DetectorModel, View
+from geoorbit_ros.scenes.detector_model import DetectorModel, View, true_boxes
 from geoorbit_ros.scenes.moving_traffic import MovingTraffic
 from geoorbit_ros.scenes.roads import PlacedRoad, place_roads
 from geoorbit_ros.scenes.scene import Scene
@@ -47,6 +47,8 @@ class SceneRun:
         datum: Origin of the map frame.
         control_points: Surveyed points with their pixels.
         camera: The true camera.
+        boxes: `PIXEL_TRACK_DTYPE` true boxes of all vehicles in the image that are large enough
+            to detect, hidden ones included, with true ids: what a tracker is scored against.
     """
 
     scene: Scene
@@ -56,6 +58,7 @@ class SceneRun:
     datum: Datum
     control_points: ControlPoints
     camera: PinholeCamera
+    boxes: Frames
 
     @property
     def image_size(self) -> tuple[int, int]:
@@ -90,7 +93,7 @@ def simulate(
     counter = TruthCounter(lanes, record.lane_names)
     model = DetectorModel(camera, scene.detector, seed)
     random = np.random.default_rng([seed, 3])
-    stamps, noisy, clean = [], [], []
+    stamps, noisy, clean, boxes = [], [], [], []
     frame_count = int(duration_s * scene.camera.fps)
     for k in range(frame_count):
         ideal_s = k / scene.camera.fps
@@ -102,6 +105,7 @@ def simulate(
         stamps.append(START_NS + round(time_s * 1e9))
         noisy.append(rows)
         clean.append(_clean_rows(view, velocity, vehicles))
+        boxes.append(true_boxes(camera, view, scene.detector.min_height_px))
         if k % 50 == 0:
             report("camera", k / frame_count)
     report("camera", 1.0)
@@ -115,6 +119,7 @@ def simulate(
         datum,
         survey_control_points(placed, camera, datum, seed),
         camera,
+        _frames(stamp_ns, boxes, PIXEL_TRACK_DTYPE),
     )
 
 

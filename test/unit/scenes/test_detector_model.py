@@ -15,6 +15,7 @@ from geoorbit_ros.scenes.detector_model import (
     DetectorModel,
     View,
     exact_boxes,
+    true_boxes,
 )
 from geoorbit_ros.scenes.scene import Detector
 
@@ -218,3 +219,14 @@ def test_classes_are_wrong_as_often_as_they_should() -> None:
         wrong += int(np.sum(rows["class_id"] != view.coco_class[vehicles]))
         total += len(rows)
     assert wrong / total == pytest.approx(0.1, abs=0.02)
+
+
+def test_true_boxes_are_the_faultless_detections_and_the_hidden_vehicles() -> None:
+    hidden = faulty(occluded_share=0.1)
+    view = view_of((0.0, 40.0, 90.0, TRUCK), (0.0, 52.0, 90.0, CAR), (6.0, 30.0, 90.0, CAR))
+    detected, vehicles = DetectorModel(CAMERA, hidden, 1).detect(0.0, view)
+    truth = true_boxes(CAMERA, view, hidden.min_height_px)
+    assert sorted(vehicles.tolist()) == [0, 2]
+    assert truth["track_id"].tolist() == [1, 2, 3]
+    assert np.allclose(edges(truth[vehicles]), edges(detected), atol=1e-3)
+    assert len(true_boxes(CAMERA, view, 1e4)) == 0
