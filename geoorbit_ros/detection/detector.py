@@ -1,0 +1,95 @@
+"""What every detector does, and the images it takes."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.core.errors import GeoOrbitError
+from geoorbit_ros.core.tables import DETECTION_DTYPE
+
+Image = NDArray[np.uint8]
+"""(H, W, 3) uint8, blue green red."""
+
+MIN_SIDE_PX = 2
+"""A smaller image has no inside."""
+
+
+class ModelError(GeoOrbitError):
+    """A model file that can't be used."""
+
+
+class ImageError(GeoOrbitError):
+    """An image that can't be used."""
+
+
+class Detector(Protocol):
+    """Finds vehicles in one image after the other of one camera."""
+
+    @property
+    def name(self) -> str:
+        """What finds the vehicles, in a few words for a person."""
+
+    def detect(self, stamp_ns: int, image: NDArray[np.generic]) -> NDArray[np.void]:
+        """Vehicles in one image.
+
+        Args:
+            stamp_ns: Capture time; increases from call to call unless the source starts again.
+            image: (H, W, 3) uint8 BGR; grey (H, W) and BGRA are taken too. Its size may change.
+
+        Returns:
+            (N,) `DETECTION_DTYPE` in pixels of `image`, highest score first.
+
+        Raises:
+            ImageError: An image that is none of these.
+        """
+
+
+def as_bgr(image: NDArray[np.generic], place: str = "image") -> Image:
+    """The image as (H, W, 3) uint8 BGR; grey becomes three equal channels, alpha is dropped.
+
+    Raises:
+        ImageError: Other dimensions, or samples that are not 8 bits: how bright a 16-bit sample
+            is depends on the camera, so only its driver can convert it.
+    """
+    shape = image.shape
+    channels = shape[2] if len(shape) == 3 else 1
+    sound = len(shape) in (2, 3) and channels in (1, 3, 4) and min(shape[:2]) >= MIN_SIDE_PX
+    if not sound or image.dtype != np.uint8:
+        found = f"{' x '.join(map(str, shape)) or 'one number'} of {image.dtype}"
+        expected = "height x width of 8-bit samples, grey, BGR or BGRA"
+        raise ImageError(place, found, expected)
+    pixels = np.asarray(image, dtype=np.uint8)
+    if channels == 3:
+        return np.ascontiguousarray(pixels)
+    code = cv2.COLOR_BGRA2BGR if channels == 4 else cv2.COLOR_GRAY2BGR
+    return np.asarray(cv2.cvtColor(np.ascontiguousarray(pixels), code), dtype=np.uint8)
+
+
+def detection_rows(
+    boxes: NDArray[np.floating],
+    score: NDArray[np.floating],
+    class_id: NDArray[np.integer],
+    image_size: tuple[int, int],
+) -> NDArray[np.void]:
+    """A `DETECTION_DTYPE` table, highest score first, of boxes cut to the image.
+
+    Args:
+        boxes: (N, 4) left, top, right, bottom in pixels.
+        score: (N,) in [0, 1].
+        class_id: (N,) COCO numbers.
+        image_size: Width and height. What lies wholly outside is left out.
+    """
+    width, height = image_size
+    cut = np.clip(boxes, 0.0, [width, height, width, height])
+    size = cut[:, 2:] - cut[:, :2]
+    inside = np.flatnonzero((size > 0.0).all(axis=1))
+    kept = inside[np.argsort(-score[inside], kind="stable")]
+    rows = np.zeros(len(kept), DETECTION_DTYPE)
+    rows["x"], rows["y"] = (0.5 * (cut[kept, :2] + cut[kept, 2:])).T
+    rows["width"], rows["height"] = size[kept].T
+    rows["score"], rows["class_id"] = score[kept], class_id[kept]
+    return rows

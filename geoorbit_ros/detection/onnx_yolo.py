@@ -1,0 +1,126 @@
+"""YOLO models in ONNX files, of any of the layouts that exporters write."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.detection.detector import as_bgr, detection_rows
+from geoorbit_ros.detection.layout_choice import choose_layout
+from geoorbit_ros.detection.layouts import Candidates, GridLayout
+from geoorbit_ros.detection.letterbox import GREY, Letterbox, centred, cornered, to_tensor
+from geoorbit_ros.detection.onnx_session import load_session
+from geoorbit_ros.detection.suppression import suppress
+from geoorbit_ros.detection.vehicle_classes import vehicle_classes
+
+MAX_DETECTIONS = 300
+"""Per image, as the exporters' own predictors."""
+
+
+@dataclass(frozen=True, slots=True)
+class YoloOptions:
+    """How a model is run.
+
+    Attributes:
+        min_score: Boxes that score less are dropped.
+        max_iou: Of two boxes of one class that overlap more than this, the lesser goes.
+        any_class: Whether boxes of different classes suppress each other too.
+        class_names: Names of the model's classes; empty takes those in the file.
+        providers: onnxruntime's execution providers, best first; empty takes the best there is.
+        threads: Threads within one operator on the CPU; 0 leaves it to onnxruntime.
+    """
+
+    min_score: float = 0.25
+    max_iou: float = 0.7
+    any_class: bool = False
+    class_names: tuple[str, ...] = ()
+    providers: tuple[str, ...] = ()
+    threads: int = 0
+
+
+class OnnxYolo:
+    """A YOLO model that finds vehicles.
+
+    Preprocessing follows the predictor of the family that writes the layout: YOLOX wants BGR from 0
+    to 255 in the top left corner, the others RGB from 0 to 1 in the middle.
+
+    Args:
+        path: An `.onnx` file.
+        options: How it is run.
+
+    Raises:
+        ModelError: A file for another task, damaged, of other shapes, or without vehicles.
+        ParameterError: An execution provider that is not there.
+    """
+
+    def __init__(self, path: Path, options: YoloOptions | None = None) -> None:
+        self.options = options or YoloOptions()
+        self._model = load_session(path, self.options.providers, self.options.threads)
+        place, canvas = self._model.place, self._model.canvas
+        # The first run also shows the shapes that a dynamic export leaves open, and warms up.
+        grey = np.full((canvas[1], canvas[0], 3), GREY, dtype=np.uint8)
+        outputs = self._model.run(to_tensor(grey, scale=1.0 / 255.0, swap=True))
+        given: Mapping[int, str] = dict(enumerate(self.options.class_names))
+        self._layout, self.names, count = choose_layout(
+            outputs, canvas, self._model.metadata, given, place
+        )
+        self._coco = vehicle_classes(self.names, count, place)
+        self._wanted = np.flatnonzero(self._coco >= 0)
+        self._yolox = isinstance(self._layout, GridLayout)
+
+    @property
+    def name(self) -> str:
+        """File, layout and input size."""
+        width, height = self._model.canvas
+        return f"{Path(self._model.place).name} ({self._layout.name}, {width}x{height})"
+
+    def detect(self, stamp_ns: int, image: NDArray[np.generic]) -> NDArray[np.void]:
+        """See `Detector`; the stamp is not used."""
+        return self.detect_batch([image])[0]
+
+    def detect_batch(self, images: Sequence[NDArray[np.generic]]) -> list[NDArray[np.void]]:
+        """Vehicles in each of several images, in one run where the model and the sizes allow it.
+
+        Raises:
+            ImageError: An image that `Detector.detect` would refuse.
+            ModelError: The model fails.
+        """
+        prepared = [self._prepare(image) for image in images]
+        same = len({tensor.shape for _, tensor in prepared}) == 1
+        most = (self._model.batch or len(prepared)) if same else 1
+        rows: list[NDArray[np.void]] = []
+        for start in range(0, len(prepared), max(most, 1)):
+            part = prepared[start : start + max(most, 1)]
+            tensors = [tensor for _, tensor in part]
+            fed = tensors[0] if len(part) == 1 else np.concatenate(tensors)
+            (outputs,) = self._model.run(fed)
+            rows += [
+                self._read(box, output) for (box, _), output in zip(part, outputs, strict=False)
+            ]
+        return rows
+
+    def _prepare(self, image: NDArray[np.generic]) -> tuple[Letterbox, NDArray[np.float32]]:
+        pixels = as_bgr(image)
+        size, canvas = (pixels.shape[1], pixels.shape[0]), self._model.canvas
+        if self._yolox:
+            box = cornered(size, canvas)
+            return box, to_tensor(box.paint(pixels), scale=1.0, swap=False)
+        metadata = self._model.metadata
+        box = centred(size, canvas, metadata.stride if metadata.dynamic else 0)
+        return box, to_tensor(box.paint(pixels), scale=1.0 / 255.0, swap=True)
+
+    def _read(self, box: Letterbox, output: NDArray[np.float32]) -> NDArray[np.void]:
+        options = self.options
+        found = self._layout.candidates(output, box.canvas_size, self._wanted, options.min_score)
+        finite = np.isfinite(found.boxes).all(axis=1)
+        found = Candidates(found.boxes[finite], found.score[finite], found.model_class[finite])
+        if not self._layout.suppressed:
+            group = np.zeros_like(found.model_class) if options.any_class else found.model_class
+            kept = suppress(found.boxes, found.score, group, options.max_iou)[:MAX_DETECTIONS]
+            found = Candidates(found.boxes[kept], found.score[kept], found.model_class[kept])
+        classes = self._coco[found.model_class]
+        return detection_rows(box.to_image(found.boxes), found.score, classes, box.image_size)

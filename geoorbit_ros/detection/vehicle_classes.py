@@ -1,0 +1,70 @@
+"""Which classes of a model are vehicles, by their names."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.detection.detector import ModelError
+
+CAR, MOTORCYCLE, BUS, TRUCK = 2, 3, 5, 7
+"""COCO class numbers."""
+
+_WORDS = {
+    CAR: "car cars vehicle vehicles automobile sedan hatchback suv van vans minivan taxi jeep",
+    MOTORCYCLE: "motorcycle motorcycles motorbike motorbikes motor scooter moped",
+    BUS: "bus buses minibus coach",
+    TRUCK: "truck trucks lorry lorries trailer semitrailer semi tractor pickup ambulance",
+}
+_CLASS_OF = {word: number for number, words in _WORDS.items() for word in words.split()}
+
+# Lin et al., Microsoft COCO (2014), the 80 classes of the 2017 detection task in their order.
+_COCO = (
+    "person,bicycle,car,motorcycle,airplane,bus,train,truck,boat,traffic light,fire hydrant,"
+    "stop sign,parking meter,bench,bird,cat,dog,horse,sheep,cow,elephant,bear,zebra,giraffe,"
+    "backpack,umbrella,handbag,tie,suitcase,frisbee,skis,snowboard,sports ball,kite,baseball bat,"
+    "baseball glove,skateboard,surfboard,tennis racket,bottle,wine glass,cup,fork,knife,spoon,"
+    "bowl,banana,apple,sandwich,orange,broccoli,carrot,hot dog,pizza,donut,cake,chair,couch,"
+    "potted plant,bed,dining table,toilet,tv,laptop,mouse,remote,keyboard,cell phone,microwave,"
+    "oven,toaster,sink,refrigerator,book,clock,vase,scissors,teddy bear,hair drier,"
+    "toothbrush"
+)
+COCO_NAMES = tuple(_COCO.split(","))
+
+
+def vehicle_class(name: str) -> int | None:
+    """COCO number of a class called `name`; None when that is no motor vehicle.
+
+    The last word that says so decides: a police car is a car, a `big truck` a truck. A van counts
+    as a car, as detectors trained on COCO call it.
+    """
+    for word in reversed(re.findall(r"[a-z]+", name.lower())):
+        if word in _CLASS_OF:
+            return _CLASS_OF[word]
+    return None
+
+
+def vehicle_classes(names: Mapping[int, str], count: int, place: str) -> NDArray[np.int64]:
+    """(count,) COCO number of each of a model's classes, -1 where it is no vehicle.
+
+    Raises:
+        ModelError: Not one vehicle among the names.
+    """
+    found = np.full(count, -1, dtype=np.int64)
+    for number, name in names.items():
+        coco = vehicle_class(name)
+        if 0 <= number < count and coco is not None:
+            found[number] = coco
+    if (found < 0).all():
+        said = f"classes {shorten(list(names.values()))}" if names else "no class names"
+        raise ModelError(place, said, "at least one of car, van, truck, bus, motorcycle")
+    return found
+
+
+def shorten(names: Sequence[str], limit: int = 6) -> str:
+    """The first names of a list, for a sentence."""
+    rest = len(names) - limit
+    return ", ".join(names[:limit]) + (f" and {rest} more" if rest > 0 else "")
