@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.lanes.passes import MIN_TRAVEL_M, Passes, wrap_rad
+from geoorbit_ros.lanes.passes import MIN_TRAVEL_M, Passes, step_m, wrap_rad
 from geoorbit_ros.lanes.spine import Spine, trace_spine
 
 MAX_CORRIDORS = 16
@@ -57,7 +57,7 @@ def find_corridors(passes: Passes, known: Sequence[tuple[Spine, float]] = ()) ->
             them makes a new one.
     """
     owner = passes.pass_of_node()
-    step = np.append(0.0, np.hypot(*np.diff(passes.xy, axis=0).T))
+    step = np.append(0.0, step_m(*passes.xy.T))
     step[passes.offset[:-1]] = 0.0
     elapsed = np.append(0.0, np.diff(passes.time_s))
     elapsed[passes.offset[:-1]] = 0.0

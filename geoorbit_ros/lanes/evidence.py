@@ -14,8 +14,8 @@ from geoorbit_ros.lanes.passes import (
     condense,
     empty_passes,
     select,
-    take_rows,
 )
+from geoorbit_ros.lanes.track_rows import TrackRows, no_rows, order_by_track, usable_rows
 
 MAX_PASSES = 1500
 """Newest passes kept: ten minutes of a busy motorway, most of a day on a quiet road."""
@@ -41,8 +41,7 @@ class Evidence:
         self._now_ns = 0
         self._stamps: list[int] = []
         self._chunks: list[bytes] = []
-        self._open_s = np.empty(0)
-        self._open = np.empty(0, TRACK_DTYPE)
+        self._open = no_rows()
         self._finished = empty_passes()
         self._finished_ever = 0
 
@@ -63,8 +62,7 @@ class Evidence:
     def passes(self) -> tuple[Passes, NDArray[np.float64]]:
         """All passes, finished ones first, and the worth (P,) of each by its age."""
         now_s = self.settle()
-        open_passes = condense(self._open_s, self._open, self._max_sigma_m)
-        every = concatenate([self._finished, open_passes])
+        every = concatenate([self._finished, condense(self._open)])
         return every, self._worth(every, now_s)
 
     @property
@@ -83,35 +81,36 @@ class Evidence:
 
     def settle(self) -> float:
         """Move tracks that have ended from rows to passes; return the time in seconds."""
-        epoch = self._epoch_ns or 0
-        now_s = (self._now_ns - epoch) * 1e-9
-        if self._chunks:
-            # Joining bytes is far cheaper than concatenating thousands of structured arrays.
-            counts = [len(c) // TRACK_DTYPE.itemsize for c in self._chunks]
-            stamps = np.repeat(np.array(self._stamps), counts)
-            time_s = np.concatenate([self._open_s, (stamps - epoch) * 1e-9])
-            rows = np.frombuffer(b"".join([self._open.tobytes(), *self._chunks]), TRACK_DTYPE)
-            self._stamps, self._chunks = [], []
-        else:
-            time_s, rows = self._open_s, self._open
+        now_s = (self._now_ns - (self._epoch_ns or 0)) * 1e-9
+        rows = self._open.followed_by(self._fresh_rows())
         if len(rows) == 0:
             return now_s
-        # Rows arrive in time order, so a stable sort by track orders each track's rows by time.
-        order = np.argsort(rows["track_id"], kind="stable")
-        time_s, rows = time_s[order], take_rows(rows, order)
-        new = np.append(True, (np.diff(rows["track_id"]) != 0) | (np.diff(time_s) > MAX_GAP_S))
-        track = np.cumsum(new) - 1
+        rows = rows.take(order_by_track(rows.track))
+        new = np.append(True, (np.diff(rows.track) != 0) | (np.diff(rows.time_s) > MAX_GAP_S))
         first = np.flatnonzero(new)
-        last = np.append(first[1:], len(rows)) - 1
-        ended = time_s[last] < now_s - MAX_GAP_S
-        block = np.floor((time_s - time_s[first][track]) / MAX_PIECE_S)
-        done = ended[track] | (block < block[last][track])
-        over, still = np.flatnonzero(done), np.flatnonzero(~done)
-        part = condense(time_s[over], take_rows(rows, over), self._max_sigma_m)
+        counts = np.diff(first, append=len(rows))
+        end_s = rows.time_s[first + counts - 1]
+        # All of a track that has ended, and the whole pieces of one that goes on.
+        piece = np.floor((end_s - rows.time_s[first]) / MAX_PIECE_S)
+        until_s = rows.time_s[first] + MAX_PIECE_S * piece
+        until_s[end_s < now_s - MAX_GAP_S] = np.inf
+        done = rows.time_s < np.repeat(until_s, counts)
+        part = condense(rows.take(np.flatnonzero(done)))
         self._finished_ever += len(part)
         self._finished = self._trim(concatenate([self._finished, part]), now_s)
-        self._open_s, self._open = time_s[still], take_rows(rows, still)
+        self._open = rows.take(np.flatnonzero(~done))
         return now_s
+
+    def _fresh_rows(self) -> TrackRows:
+        """The rows that came since the last call."""
+        if not self._chunks:
+            return no_rows()
+        # Joining bytes is far cheaper than concatenating thousands of structured arrays.
+        rows = np.frombuffer(b"".join(self._chunks), TRACK_DTYPE)
+        counts = [len(chunk) // TRACK_DTYPE.itemsize for chunk in self._chunks]
+        time_s = (np.array(self._stamps) - (self._epoch_ns or 0)) * 1e-9
+        self._stamps, self._chunks = [], []
+        return usable_rows(np.repeat(time_s, counts), rows, self._max_sigma_m)
 
     def _worth(self, passes: Passes, now_s: float) -> NDArray[np.float64]:
         end = passes.time_s[passes.offset[1:] - 1] if len(passes) else np.empty(0)

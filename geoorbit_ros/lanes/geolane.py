@@ -154,6 +154,8 @@ def _lane(
     spline = UnivariateSpline(y, x, w=np.full(len(x), 1.0 / sigma), s=bound)
     y_fit = np.linspace(y[0], y[-1], CENTERLINE_POINTS)
     x_fit = spline(y_fit)
+    if not np.isfinite(x_fit).all():  # FITPACK gives up where too little smoothing is asked for
+        return None
     dx, dy = np.gradient(x_fit), np.gradient(y_fit)
     norm = np.hypot(dx, dy)
     # n = (-dy, dx) / |.| in the paper's (x, y) order.

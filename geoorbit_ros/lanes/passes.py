@@ -7,12 +7,13 @@ and no information lost about where the lane is.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.core.tables import FLAG_PREDICTED, FLAG_TRUNCATED
+from geoorbit_ros.lanes.track_rows import TrackRows
 
 MAX_GAP_S = 1.5
 """A track silent for longer is taken for two vehicles: ids are reused after occlusions."""
@@ -25,14 +26,9 @@ MIN_TRAVEL_M = 8.0
 """Less net travel is a parked or jittering box, not traffic."""
 MAX_TURN_RAD = np.pi / 3
 """Between neighbouring nodes; a sharper turn is an identity switch, not a vehicle."""
-MIN_SIGMA_M = 0.02
 MAX_LATERAL_MPS2 = 8.0
 """Lateral acceleration on dry asphalt that no everyday driver exceeds."""
 MIN_BREAK_RAD = 0.35
-VEHICLE_CLASSES = (2, 3, 5, 7)
-"""COCO car, motorcycle, bus and truck. People and bicycles have paths that are no lanes."""
-LARGE_CLASSES = (5, 7)
-"""COCO bus and truck."""
 HEADING_BASE = 2
 """Nodes to either side over which a heading is measured."""
 
@@ -103,41 +99,23 @@ def select(passes: Passes, keep: NDArray[np.bool_]) -> Passes:
     )
 
 
-def take_rows(rows: NDArray[np.void], index: NDArray[np.int64]) -> NDArray[np.void]:
-    """`rows[index]`, ten times faster: numpy copies structured rows field by field."""
-    blocks = np.ascontiguousarray(rows).view(np.dtype((np.void, rows.dtype.itemsize)))
-    return np.asarray(blocks.take(index).view(rows.dtype))
-
-
-def condense(time_s: NDArray[np.float64], rows: NDArray[np.void], max_sigma_m: float) -> Passes:
-    """Passes in `rows`, which must be sorted by (track_id, time).
-
-    Args:
-        time_s: (N,) capture times.
-        rows: (N,) `TRACK_DTYPE`.
-        max_sigma_m: Rows less certain than this are left out.
+def condense(rows: TrackRows) -> Passes:
+    """Passes in `rows`, which must be sorted by (track, time).
 
     Returns:
         One pass per stretch of smooth travel of at least `MIN_TRAVEL_M`.
     """
-    usable = (rows["flags"] & (FLAG_PREDICTED | FLAG_TRUNCATED)) == 0
-    usable &= rows["sigma"] <= max_sigma_m
-    time_s, rows = time_s[usable], take_rows(rows, np.flatnonzero(usable))
     if len(rows) == 0:
         return empty_passes()
-    xy = np.column_stack([rows["x"], rows["y"]]).astype(np.float64)
-    sigma = np.maximum(rows["sigma"].astype(np.float64), MIN_SIGMA_M)
-    new = _new_vehicle(time_s, rows["track_id"], xy, sigma)
+    new = _new_vehicle(rows)
+    first = np.flatnonzero(new)
+    begin_s = np.repeat(rows.time_s[first], np.diff(first, append=len(rows)))
+    slot = np.floor((rows.time_s - begin_s) / NODE_PERIOD_S)
+    new[1:] |= np.diff(np.floor(slot / (MAX_PIECE_S / NODE_PERIOD_S))) > 0
     nodes = _Nodes(
-        xy,
-        sigma,
-        time_s,
-        np.cumsum(new) - 1,
-        np.isin(rows["class_id"], LARGE_CLASSES).astype(np.float64),
-        np.isin(rows["class_id"], VEHICLE_CLASSES).astype(np.float64),
+        rows.x, rows.y, rows.sigma, rows.time_s, np.cumsum(new) - 1, rows.large, rows.vehicle
     )
-    begin = time_s[new][nodes.piece]
-    nodes = nodes.average(np.floor((time_s - begin) / NODE_PERIOD_S))
+    nodes = nodes.average(slot)
     nodes = nodes.average(np.floor(_travel_m(nodes) / NODE_SPACING_M))
     return _to_passes(_cut_at_turns(nodes))
 
@@ -146,7 +124,8 @@ def condense(time_s: NDArray[np.float64], rows: NDArray[np.void], max_sigma_m: f
 class _Nodes:
     """Rows on their way to becoming passes; `piece` numbers the vehicles and never decreases."""
 
-    xy: NDArray[np.float64]
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
     sigma: NDArray[np.float64]
     time_s: NDArray[np.float64]
     piece: NDArray[np.int64]
@@ -154,13 +133,11 @@ class _Nodes:
     vehicle: NDArray[np.float64]
 
     def starts(self) -> NDArray[np.bool_]:
-        return np.append(True, np.diff(self.piece) != 0)
+        return _changes(self.piece)
 
     def average(self, slot: NDArray[np.float64]) -> _Nodes:
         """One node per run of equal `slot` within a piece, weighted by 1 / sigma^2."""
-        begin = self.starts()
-        begin[1:] |= np.diff(slot) != 0
-        first = np.flatnonzero(begin)
+        first = np.flatnonzero(self.starts() | _changes(slot))
         weight = self.sigma**-2
         total = np.add.reduceat(weight, first)
 
@@ -169,9 +146,10 @@ class _Nodes:
 
         # The error of a box is alike from frame to frame: averaging hardly reduces it, so a node
         # keeps the (harmonic mean) error of its rows instead of dividing it by sqrt(n).
-        count = np.diff(np.append(first, len(weight)))
+        count = np.diff(first, append=len(weight))
         return _Nodes(
-            np.column_stack([mean(self.xy[:, 0]), mean(self.xy[:, 1])]),
+            mean(self.x),
+            mean(self.y),
             np.sqrt(count / total),
             mean(self.time_s),
             self.piece[first],
@@ -180,21 +158,24 @@ class _Nodes:
         )
 
 
-def _new_vehicle(
-    time_s: NDArray[np.float64],
-    track_id: NDArray[np.int32],
-    xy: NDArray[np.float64],
-    sigma: NDArray[np.float64],
-) -> NDArray[np.bool_]:
+def _changes(value: NDArray[Any]) -> NDArray[np.bool_]:
+    """(N,) where a value differs from the one before; True at the first."""
+    return np.append(True, value[1:] != value[:-1])
+
+
+def _new_vehicle(rows: TrackRows) -> NDArray[np.bool_]:
     """Where a vehicle begins: another id, a long silence, or a jump that no vehicle can make."""
-    new = np.ones(len(time_s), bool)
-    dt = np.diff(time_s)
-    jump = np.hypot(*np.diff(xy, axis=0).T)
-    reach = MAX_SPEED_MPS * dt + 4.0 * (sigma[1:] + sigma[:-1]) + 0.5
-    new[1:] = (np.diff(track_id) != 0) | (dt > MAX_GAP_S) | (jump > reach)
-    begin = time_s[new][np.cumsum(new) - 1]
-    new[1:] |= np.diff(np.floor((time_s - begin) / MAX_PIECE_S)) > 0
+    dt = np.diff(rows.time_s)
+    jump_squared = np.diff(rows.x) ** 2 + np.diff(rows.y) ** 2
+    reach = MAX_SPEED_MPS * dt + 4.0 * (rows.sigma[1:] + rows.sigma[:-1]) + 0.5
+    new: NDArray[np.bool_] = _changes(rows.track)
+    new[1:] |= (dt > MAX_GAP_S) | (jump_squared > reach * reach)
     return new
+
+
+def step_m(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N - 1,) lengths of the steps between points; numpy's hypot takes ten times as long."""
+    return np.asarray(np.sqrt(np.diff(x) ** 2 + np.diff(y) ** 2))
 
 
 def _travel_m(nodes: _Nodes) -> NDArray[np.float64]:
@@ -202,11 +183,11 @@ def _travel_m(nodes: _Nodes) -> NDArray[np.float64]:
 
     Steps inside the noise don't count: a standing vehicle would crawl away on its own jitter.
     """
-    step = np.append(0.0, np.hypot(*np.diff(nodes.xy, axis=0).T))
-    step[1:][step[1:] < 0.5 * (nodes.sigma[1:] + nodes.sigma[:-1])] = 0.0
+    step = step_m(nodes.x, nodes.y)
+    step[step < 0.5 * (nodes.sigma[1:] + nodes.sigma[:-1])] = 0.0
     begin = nodes.starts()
-    step[begin] = 0.0
-    travel = np.cumsum(step)
+    step[begin[1:]] = 0.0
+    travel = np.append(0.0, np.cumsum(step))
     return np.asarray(travel - travel[begin][np.cumsum(begin) - 1])
 
 
@@ -216,50 +197,41 @@ def _cut_at_turns(nodes: _Nodes) -> _Nodes:
     A vehicle at speed v turns by at most a / v per second, a being its largest lateral
     acceleration; what the nodes' errors can feign is allowed on top.
     """
-    step = np.diff(nodes.xy, axis=0)
     inside = np.diff(nodes.piece) == 0
-    turn = np.abs(wrap_rad(np.diff(np.arctan2(step[:, 1], step[:, 0]))))
-    length = np.maximum(np.hypot(*step.T), 1e-3)
+    turn = np.abs(wrap_rad(np.diff(np.arctan2(np.diff(nodes.y), np.diff(nodes.x)))))
+    length = np.maximum(step_m(nodes.x, nodes.y), 1e-3)
     dt = np.maximum(np.diff(nodes.time_s), 1e-3)
     error = np.maximum(nodes.sigma[1:], nodes.sigma[:-1])
     speed = 0.5 * (length[1:] / dt[1:] + length[:-1] / dt[:-1])
-    feigned = 3.0 * np.hypot(error[1:] / length[1:], error[:-1] / length[:-1])
+    feigned = error / length
+    feigned = 3.0 * np.sqrt(feigned[1:] ** 2 + feigned[:-1] ** 2)
     possible = MAX_LATERAL_MPS2 * 0.5 * (dt[1:] + dt[:-1]) / np.maximum(speed, 0.1)
     real = inside & (length > 2.0 * error)
     impossible = (turn > possible + feigned) & (turn > MIN_BREAK_RAD) & inside[1:] & inside[:-1]
-    cut = np.zeros(len(nodes.xy), bool)
-    cut[1:-1] = ((turn > MAX_TURN_RAD) & real[1:] & real[:-1]) | impossible
-    return _Nodes(
-        nodes.xy,
-        nodes.sigma,
-        nodes.time_s,
-        np.cumsum(nodes.starts() | cut) - 1,
-        nodes.large,
-        nodes.vehicle,
-    )
+    new = nodes.starts()
+    new[1:-1] |= ((turn > MAX_TURN_RAD) & real[1:] & real[:-1]) | impossible
+    return replace(nodes, piece=np.cumsum(new) - 1)
 
 
 def _to_passes(nodes: _Nodes) -> Passes:
     """Drop what is no traffic, measure headings."""
     first = np.flatnonzero(nodes.starts())
-    last = np.append(first[1:], len(nodes.piece)) - 1
-    chord = nodes.xy[last] - nodes.xy[first]
-    counts = last - first + 1
+    counts = np.diff(first, append=len(nodes.piece))
+    last = first + counts - 1
     noise = nodes.sigma[first] + nodes.sigma[last]
-    keep = (np.hypot(*chord.T) >= np.maximum(MIN_TRAVEL_M, 2.0 * noise)) & (counts >= 3)
+    chord = np.hypot(nodes.x[last] - nodes.x[first], nodes.y[last] - nodes.y[first])
+    keep = (chord >= np.maximum(MIN_TRAVEL_M, 2.0 * noise)) & (counts >= 3)
+    # By majority: a detector takes a van for a train now and then.
+    keep &= np.add.reduceat(nodes.vehicle, first) / counts > 0.5
+    large = np.add.reduceat(nodes.large, first) / counts > 0.5
 
     at = np.arange(len(nodes.piece))
     low = np.maximum(at - HEADING_BASE, np.repeat(first, counts))
     high = np.minimum(at + HEADING_BASE, np.repeat(last, counts))
-    step = nodes.xy[high] - nodes.xy[low]
-    heading = np.arctan2(step[:, 1], step[:, 0])
-    large = np.add.reduceat(nodes.large, first) / counts > 0.5
-    # By majority: a detector takes a van for a train now and then.
-    keep &= np.add.reduceat(nodes.vehicle, first) / counts > 0.5
-    every = Passes(
-        nodes.xy, nodes.sigma, heading, nodes.time_s, np.append(0, np.cumsum(counts)), large
-    )
-    return select(every, keep)
+    heading = np.arctan2(nodes.y[high] - nodes.y[low], nodes.x[high] - nodes.x[low])
+    xy = np.column_stack([nodes.x, nodes.y])
+    offset = np.append(0, np.cumsum(counts))
+    return select(Passes(xy, nodes.sigma, heading, nodes.time_s, offset, large), keep)
 
 
 def wrap_rad(angle: NDArray[np.float64]) -> NDArray[np.float64]:

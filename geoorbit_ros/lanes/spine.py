@@ -12,12 +12,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
-from scipy.spatial import cKDTree
 
 from geoorbit_ros.lanes.passes import wrap_rad
 
 STEP_M = 2.0
-TRACE_NODES = 1500
+COARSE = 2
+"""Every which sample of a curve is tried when a point's place along it is searched."""
+TRACE_NODES = 1000
 TRACE_ANGLE_RAD = 0.4
 ALIGN_ROUNDS = 2
 RUN_OUT_M = 20.0
@@ -44,15 +45,11 @@ class Spine:
     @cached_property
     def curvature(self) -> NDArray[np.float64]:
         """(K,) 1/m, positive to the left, smoothed over 10 m."""
-        return np.asarray(gaussian_filter1d(np.gradient(self.heading, STEP_M), 5.0))
-
-    @cached_property
-    def _tree(self) -> cKDTree:
-        return cKDTree(self.xy)
+        return smooth(np.gradient(self.heading, STEP_M), 5.0) / smooth(np.ones(len(self.xy)), 5.0)
 
     def heading_at(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Heading at arc lengths `s`, radians."""
-        return np.asarray(np.interp(s, self.s, self.heading))
+        return self._at(s, self.heading)[0]
 
     def to_road(
         self, xy: NDArray[np.float64], near_s: NDArray[np.float64] | None = None
@@ -63,16 +60,16 @@ class Spine:
             xy: Points.
             near_s: About where they are, (N,); saves the search.
         """
-        s = self.s[self._tree.query(xy)[1]] if near_s is None else near_s
+        x, y = np.ascontiguousarray(xy.T)
+        s = self._nearest(xy) if near_s is None else near_s
         for _ in range(2):
-            s = np.clip(s + self._offset(s, xy)[0], 0.0, self.s[-1])
-        along, left = self._offset(s, xy)
+            s = np.minimum(np.maximum(s + self._offset(s, x, y)[0], 0.0), self.s[-1])
+        along, left = self._offset(s, x, y)
         return s + along, left
 
     def to_map(self, s: NDArray[np.float64], d: NDArray[np.float64]) -> NDArray[np.float64]:
         """(N, 2) points at (s, d)."""
-        x, y = np.interp(s, self.s, self.xy[:, 0]), np.interp(s, self.s, self.xy[:, 1])
-        heading = self.heading_at(s)
+        x, y, heading = self._at(s, self.xy[:, 0], self.xy[:, 1], self.heading)
         return np.column_stack([x - d * np.sin(heading), y + d * np.cos(heading)])
 
     def may_run_along(
@@ -85,16 +82,40 @@ class Spine:
 
     def regular(self, s: NDArray[np.float64], d: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Whether (s, d) is one to one there: well on this side of the centre of curvature."""
-        return np.asarray(1.0 - d * np.interp(s, self.s, self.curvature) > 0.3)
+        return np.asarray(1.0 - d * self._at(s, self.curvature)[0] > 0.3)
+
+    def _nearest(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(N,) arc length of the sample nearest to each point, of every `COARSE`-th."""
+        sample = self.xy[::COARSE]
+        middle = sample.mean(axis=0)
+        sample = sample - middle
+        # |p - q|^2 without |p|^2, which is alike for all samples q.
+        score = (xy - middle) @ (-2.0 * sample.T)
+        score += (sample**2).sum(axis=1)
+        return np.asarray(score.argmin(axis=1) * (COARSE * STEP_M))
+
+    def _at(
+        self, s: NDArray[np.float64], *values: NDArray[np.float64]
+    ) -> list[NDArray[np.float64]]:
+        """Each of the (K,) values between the samples, at arc lengths `s`."""
+        place = np.minimum(np.maximum(s / STEP_M, 0.0), len(self.xy) - 1.0)
+        k = np.minimum(place.astype(np.int64), len(self.xy) - 2)
+        part = place - k
+        return [value[k] * (1.0 - part) + value[k + 1] * part for value in values]
 
     def _offset(
-        self, s: NDArray[np.float64], xy: NDArray[np.float64]
+        self, s: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        dx = xy[:, 0] - np.interp(s, self.s, self.xy[:, 0])
-        dy = xy[:, 1] - np.interp(s, self.s, self.xy[:, 1])
-        heading = self.heading_at(s)
-        cos, sin = np.cos(heading), np.sin(heading)
+        x0, y0, heading = self._at(s, self.xy[:, 0], self.xy[:, 1], self.heading)
+        dx, dy, cos, sin = x - x0, y - y0, np.cos(heading), np.sin(heading)
         return dx * cos + dy * sin, dy * cos - dx * sin
+
+
+def smooth(value: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
+    """(K,) convolved with a Gaussian of `sigma` samples, nothing beyond the ends."""
+    reach = min(int(4.0 * sigma) + 1, len(value) - 1)
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+    return np.convolve(value, kernel / kernel.sum())[reach : reach + len(value)]
 
 
 def spine_from_headings(
@@ -129,11 +150,10 @@ def trace_spine(
     # all passes represented.
     stride = max(1, len(xy) // TRACE_NODES)
     some, directions = xy[::stride], heading[::stride]
-    tree = cKDTree(some)
     unit = np.column_stack([np.cos(directions), np.sin(directions)])
     middle = seed[len(seed) // 2]
-    before = _follow(tree, some, unit, xy[seed[0]], heading[seed[0]], -1.0, scale_m)
-    after = _follow(tree, some, unit, xy[seed[-1]], heading[seed[-1]], 1.0, scale_m)
+    before = _follow(some, unit, xy[seed[0]], heading[seed[0]], -1.0, scale_m)
+    after = _follow(some, unit, xy[seed[-1]], heading[seed[-1]], 1.0, scale_m)
     path = np.vstack([before[::-1], xy[seed], after])
     profile, anchor = _headings(path, len(before) + len(seed) // 2, scale_m)
     spine = spine_from_headings(xy[middle], anchor, profile)
@@ -147,7 +167,6 @@ def trace_spine(
 
 
 def _follow(
-    tree: cKDTree,
     xy: NDArray[np.float64],
     unit: NDArray[np.float64],
     start: NDArray[np.float64],
@@ -159,14 +178,14 @@ def _follow(
     at, direction = start, np.array([np.cos(heading), np.sin(heading)])
     points = []
     for _ in range(400):
-        near = np.asarray(tree.query_ball_point(at, 1.5 * scale_m), dtype=np.int64)
-        ahead = ((xy[near] - at) @ direction) * sense
-        alike = unit[near] @ direction
-        near = near[(ahead > 0.2 * scale_m) & (alike > np.cos(0.4))]
-        if len(near) == 0:
+        away = xy - at
+        ahead = (away @ direction) * sense
+        lateral = away @ np.array([-direction[1], direction[0]])
+        near = ahead**2 + lateral**2 < (1.5 * scale_m) ** 2
+        near &= (ahead > 0.2 * scale_m) & (unit @ direction > np.cos(0.4))
+        if not near.any():
             break
-        lateral = (xy[near] - at) @ np.array([-direction[1], direction[0]])
-        weight = np.exp(-0.5 * (lateral / (0.5 * scale_m)) ** 2)
+        weight = np.exp(-0.5 * (lateral[near] / (0.5 * scale_m)) ** 2)
         mean = weight @ unit[near] + 0.5 * direction
         direction = mean / np.hypot(*mean)
         at = at + sense * 0.5 * scale_m * direction
@@ -184,9 +203,9 @@ def _headings(
     arc = np.append(0.0, np.cumsum(step))[keep]
     arc_anchor = arc[int(keep[: anchor + 1].sum()) - 1]
     grid = np.arange(-RUN_OUT_M, arc[-1] + RUN_OUT_M + STEP_M, STEP_M)
-    inner = np.clip(grid, 0.0, arc[-1])
     half = 0.5 * scale_m
-    low, high = np.clip(inner - half, 0.0, arc[-1]), np.clip(inner + half, 0.0, arc[-1])
+    # np.interp keeps to the path's ends beyond them.
+    low, high = np.minimum(grid, arc[-1]) - half, np.maximum(grid, 0.0) + half
     dx = np.interp(high, arc, path[keep, 0]) - np.interp(low, arc, path[keep, 0])
     dy = np.interp(high, arc, path[keep, 1]) - np.interp(low, arc, path[keep, 1])
     profile = gaussian_filter1d(np.unwrap(np.arctan2(dy, dx)), half / STEP_M, mode="nearest")
@@ -214,8 +233,10 @@ def _align(
     for _ in range(3):
         # Cauchy weights: turning and lane-changing vehicles hardly count.
         weight = 1.0 / (1.0 + ((off - centre[k]) / 0.03) ** 2)
-        mass = gaussian_filter1d(np.bincount(k, weight, len(centre)), blur)
-        pull = gaussian_filter1d(np.bincount(k, weight * off, len(centre)), blur)
+        mass, pull = (
+            smooth(np.bincount(k, w, len(centre)).astype(np.float64), blur)
+            for w in (weight, weight * off)
+        )
         # A lone vehicle that turns weighs next to nothing, but is all there is to go by.
         known = mass > min(1e-3, 0.5 * float(mass.max()))
         where = np.flatnonzero(known)
