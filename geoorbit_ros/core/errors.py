@@ -18,6 +18,10 @@ class GeoOrbitError(Exception):
         self.expected = expected
         super().__init__(f"{place}: found {found}, expected {expected}")
 
+    def __reduce__(self) -> tuple[type[GeoOrbitError], tuple[str, object, str]]:
+        # BaseException would pickle the message alone: errors travel between worker processes.
+        return type(self), (self.place, self.found, self.expected)
+
 
 class InputFileError(GeoOrbitError):
     """A file that a user gave can't be used."""
