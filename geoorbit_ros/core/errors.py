@@ -18,9 +18,15 @@ class GeoOrbitError(Exception):
         self.expected = expected
         super().__init__(f"{place}: found {found}, expected {expected}")
 
-    def __reduce__(self) -> tuple[type[GeoOrbitError], tuple[str, object, str]]:
-        # BaseException would pickle the message alone: errors travel between worker processes.
-        return type(self), (self.place, self.found, self.expected)
+    def __reduce__(self) -> tuple[object, ...]:
+        # BaseException would call the class with the message alone; errors travel between workers.
+        return _restore, (type(self), str(self), self.__dict__.copy())
+
+
+def _restore(kind: type[GeoOrbitError], message: str, state: dict[str, object]) -> GeoOrbitError:
+    error = kind.__new__(kind, message)
+    error.__dict__.update(state)
+    return error
 
 
 class InputFileError(GeoOrbitError):
