@@ -20,6 +20,8 @@ from geoorbit_ros.cli.lanes import lanes
 from geoorbit_ros.cli.replay import replay
 from geoorbit_ros.cli.report import report
 from geoorbit_ros.cli.score import score
+from geoorbit_ros.cli.status import status
+from geoorbit_ros.cli.up import up
 from geoorbit_ros.core.errors import GeoOrbitError
 
 EXIT_BAD_INPUT = 2
@@ -66,6 +68,8 @@ for _name, _command in (
     ("replay", replay),
     ("score", score),
     ("report", report),
+    ("up", up),
+    ("status", status),
 ):
     app.command(_name)(_command)
 app.add_typer(scene.app, name="scene")

@@ -1,0 +1,156 @@
+"""`geoorbit status`: how the nodes of a running fleet are."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from geoorbit_ros.fleet.health import Row
+
+LISTEN_S = 3.0
+"""`--once` listens this long: discovery takes two seconds, every node speaks once a second."""
+REDRAW_S = 0.5
+
+
+def status(
+    fleet: Annotated[
+        str | None,
+        typer.Argument(help="The fleet: what of it is not heard is shown, too."),
+    ] = None,
+    once: Annotated[bool, typer.Option("--once", help="Listen briefly, print once, end.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="With --once: for scripts.")] = False,
+    wait_s: Annotated[
+        float,
+        typer.Option("--wait", min=0.0, help="With --once: wait so many s until all is healthy."),
+    ] = 0.0,
+    domain_id: Annotated[
+        int | None, typer.Option(min=0, max=232, help="ROS domain; default: the environment's.")
+    ] = None,
+) -> None:
+    """Show frame rates, latencies, drops, vehicles and lanes of every camera, live.
+
+    Ends with 1 with --once when something is not healthy or nothing is heard.
+
+    Example: [bold]geoorbit status demo --once --json[/bold]
+    """
+    from geoorbit_ros.cli.console import console
+    from geoorbit_ros.fleet.fleet_file import load_fleet
+    from geoorbit_ros.fleet.health import rows
+    from geoorbit_ros.fleet.plan import expected_nodes
+    from geoorbit_ros.nodes.composition import Composition
+    from geoorbit_ros.nodes.status_listener import StatusListener
+
+    expected = None
+    if fleet is not None:
+        content, _ = load_fleet(fleet)
+        expected = expected_nodes(content)
+        domain_id = content.domain_id if domain_id is None else domain_id
+    with Composition(_domain(domain_id), quiet=True) as nodes:
+        listener = nodes.add(StatusListener(nodes.context))
+        if once:
+            deadline = time.monotonic() + max(wait_s, LISTEN_S)
+            settled = time.monotonic() + LISTEN_S
+            while time.monotonic() < deadline:
+                nodes.spin()
+                found = rows(listener.reports(), expected)
+                if time.monotonic() > settled and _healthy(found):
+                    break
+            cameras, services = rows(listener.reports(), expected)
+            if as_json:
+                typer.echo(json.dumps(_as_json(cameras, services), indent=2))
+            else:
+                console.print(_tables(cameras, services))
+            raise typer.Exit(0 if _healthy((cameras, services)) else 1)
+        _watch(nodes, listener, expected)
+
+
+def _watch(nodes: object, listener: object, expected: Mapping[str, Sequence[str]] | None) -> None:
+    from rich.live import Live
+
+    from geoorbit_ros.cli.console import console
+    from geoorbit_ros.fleet.health import rows
+    from geoorbit_ros.nodes.composition import Composition
+    from geoorbit_ros.nodes.status_listener import StatusListener
+
+    assert isinstance(nodes, Composition) and isinstance(listener, StatusListener)
+    drawn = 0.0
+    try:
+        with Live(console=console, auto_refresh=False) as live:
+            while True:
+                nodes.spin()
+                if time.monotonic() - drawn >= REDRAW_S:
+                    live.update(_tables(*rows(listener.reports(), expected)), refresh=True)
+                    drawn = time.monotonic()
+    except KeyboardInterrupt:
+        return
+
+
+def _domain(domain_id: int | None) -> int:
+    import os
+
+    return int(os.environ.get("ROS_DOMAIN_ID", "0")) if domain_id is None else domain_id
+
+
+def _healthy(found: tuple[list[Row], list[Row]]) -> bool:
+    everything = [*found[0], *found[1]]
+    return bool(everything) and all(row.healthy for row in everything)
+
+
+def _as_json(cameras: Sequence[Row], services: Sequence[Row]) -> dict[str, object]:
+    def plain(row: Row) -> dict[str, object]:
+        return {
+            "name": row.name,
+            "healthy": row.healthy,
+            "nodes": row.nodes,
+            "problems": list(row.problems),
+            "values": {key: _number(value) for key, value in row.values.items()},
+        }
+
+    return {
+        "healthy": _healthy((list(cameras), list(services))),
+        "cameras": [plain(row) for row in cameras],
+        "services": [plain(row) for row in services],
+    }
+
+
+def _number(value: str) -> object:
+    try:
+        return float(value) if "." in value or "e" in value else int(value)
+    except ValueError:
+        return value
+
+
+def _tables(cameras: Sequence[Row], services: Sequence[Row]) -> RenderableType:
+    from rich.console import Group
+    from rich.text import Text
+
+    from geoorbit_ros.cli.console import make_table
+    from geoorbit_ros.fleet.health import COLUMNS
+
+    if not cameras and not services:
+        return Text("No node heard yet: is the fleet up, on this ROS domain?")
+    titles = "|".join(f">{column.title}" for column in COLUMNS)
+    table = make_table("Cameras", f" |camera|>nodes|{titles}|problems")
+    for row in cameras:
+        values = [row.values.get(column.key, "–") for column in COLUMNS]
+        mark = "[green]●[/green]" if row.healthy else "[red]●[/red]"
+        table.add_row(mark, row.name, str(row.nodes), *values, "; ".join(row.problems))
+    table.columns[-1].no_wrap = False
+    parts: list[RenderableType] = [table] if cameras else []
+    if services:
+        other = make_table("Services", " |node|values|problems")
+        for row in services:
+            mark = "[green]●[/green]" if row.healthy else "[red]●[/red]"
+            values = [f"{key} {value}" for key, value in row.values.items() if value]
+            other.add_row(mark, row.name, ", ".join(values), "; ".join(row.problems))
+        for column in other.columns[2:]:
+            column.no_wrap, column.overflow = False, "fold"
+        parts.append(other)
+    return Group(*parts)

@@ -1,0 +1,99 @@
+"""`geoorbit up`: a fleet of cameras from one file, kept running until Ctrl-C."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from geoorbit_ros.fleet.fleet_file import Fleet
+    from geoorbit_ros.fleet.plan import ProcessPlan
+
+STEP_S = 0.2
+
+
+def up(
+    fleet: Annotated[str, typer.Argument(help="A fleet file, or the name of a shipped fleet.")],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="Folder of logs, recordings and state; default: out/FLEET."),
+    ] = None,
+    only: Annotated[
+        list[str] | None,
+        typer.Option("--only", help="Start this process only; may be given again."),
+    ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Show what would be started, and end.")
+    ] = False,
+    duration_s: Annotated[
+        float | None, typer.Option("--duration", min=0.1, help="End by itself after so many s.")
+    ] = None,
+) -> None:
+    """Start every process of a fleet, watch them, and replace those that end or hang.
+
+    Each camera's nodes share a process; the federated server and the twin have their own. Ctrl-C
+    ends all of them within five seconds. [bold]geoorbit status[/bold] shows how they are, from
+    another terminal.
+
+    Example: [bold]geoorbit up demo[/bold]
+    """
+    from geoorbit_ros.cli.console import console
+    from geoorbit_ros.fleet.calibration import write_scene_calibrations
+    from geoorbit_ros.fleet.fleet_file import load_fleet
+    from geoorbit_ros.fleet.plan import plan_fleet, select
+    from geoorbit_ros.fleet.supervisor import Supervisor
+
+    content, file = load_fleet(fleet)
+    folder = (out or Path("out") / content.name).absolute()
+    plans = select(plan_fleet(content, file.parent.absolute(), folder), only or [])
+    if dry_run:
+        _print_plan(content, plans, folder)
+        return
+    write_scene_calibrations(content, folder)
+    began = time.monotonic()
+
+    def say(name: str, text: str) -> None:
+        console.print(f"[dim]{time.monotonic() - began:7.1f} s[/dim]  [bold]{name}[/bold]  {text}")
+
+    environment = {}
+    if content.domain_id is not None:
+        environment["ROS_DOMAIN_ID"] = str(content.domain_id)
+    supervisor = Supervisor(plans, folder, environment, say)
+    domain = environment.get("ROS_DOMAIN_ID") or os.environ.get("ROS_DOMAIN_ID", "0")
+    console.print(f"Fleet {content.name}: {len(plans)} processes, ROS domain {domain}, logs in")
+    console.print(f"{folder / 'logs'}. Ctrl-C ends it; `geoorbit status {fleet}` shows it.")
+    announced = False
+    try:
+        while duration_s is None or time.monotonic() - began < duration_s:
+            supervisor.step(STEP_S)
+            if supervisor.all_running and not announced:
+                announced = True
+                say("fleet", f"all {len(plans)} processes run")
+    except KeyboardInterrupt:
+        console.print("Stopping …")
+    finally:
+        ending = time.monotonic()
+        supervisor.stop()
+        say("fleet", f"stopped in {time.monotonic() - ending:.1f} s")
+
+
+def _print_plan(fleet: Fleet, plans: Sequence[ProcessPlan], folder: Path) -> None:
+    from geoorbit_ros.cli.console import console, make_table, say
+
+    table = make_table(f"Fleet {fleet.name}", "process|node|parameters set")
+    for plan in plans:
+        name = plan.name
+        for node in plan.nodes:
+            values = ", ".join(f"{key}={value}" for key, value in node.parameters.items())
+            table.add_row(name, node.executable, values)
+            name = ""
+    for column in table.columns[2:]:
+        column.no_wrap, column.overflow = False, "fold"
+    console.print(table)
+    say(f"Nothing was started. Logs, recordings and state would go to {folder}.")

@@ -1,0 +1,1 @@
+"""Fleets: what one file says about many cameras, and the processes that make it so."""

@@ -1,0 +1,226 @@
+"""What a fleet file says: cameras, federated server, twin, recorder, viewer."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from geoorbit_ros.core.errors import InputFileError, ParameterError
+from geoorbit_ros.core.resources import share_path
+from geoorbit_ros.parameters import load_schema
+from geoorbit_ros.storage.yaml_file import StrictModel, WrongValue, read_yaml
+
+FOLDER = "params/fleets"
+MAX_CAMERAS = 1000
+
+Identifier = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
+"""What a ROS namespace can be called."""
+Value = bool | int | float | str
+Overrides = Annotated[
+    dict[str, dict[str, Value]],
+    Field(description="Parameters by node; `./dev run fleet parameters` lists them."),
+]
+Pixels = Annotated[int, Field(ge=16, le=16384)]
+
+CAMERA_NODES = (
+    *("bag_player", "camera", "detector", "tracker"),
+    *("homography", "lane_geometry", "recorder", "meta_client"),
+)
+"""Nodes in a camera's namespace, in the order in which data passes them."""
+
+
+class Position(StrictModel):
+    """A point on earth (WGS 84)."""
+
+    latitude_deg: float = Field(ge=-90.0, le=90.0)
+    longitude_deg: float = Field(ge=-180.0, le=180.0)
+
+
+class Camera(StrictModel):
+    """One camera and what is done with its images.
+
+    Attributes:
+        id: Its namespace in the graph.
+        source: A video file, `rtsp://…`, `http://…`, a folder of images, `scene:NAME` for a
+            made-up camera, or `bag:FOLDER` for recorded boxes.
+        calibration: Control points, a CSV file. A `scene:` camera brings its own.
+        model: ONNX file of a detector; none: moving objects are detected.
+        image_size: Width and height in pixels, of a bag's boxes; images tell it themselves.
+        datum: Origin of its map; default: the middle of its control points.
+        position: Where it stands, for maps.
+        enabled: Whether it is started.
+        parameters: Values that go before the nodes' defaults.
+    """
+
+    id: Identifier
+    source: str = Field(min_length=1)
+    calibration: Path | None = None
+    model: Path | None = None
+    image_size: tuple[Pixels, Pixels] = (1920, 1080)
+    datum: Position | None = None
+    position: Position | None = None
+    enabled: bool = True
+    parameters: Overrides = Field(default={})
+
+    @property
+    def kind(self) -> str:
+        """`bag`, `scene`, `stream` or `file`."""
+        start = re.match(r"(bag|scene|rtsps?|https?)(:|$)", self.source)
+        if start is None:
+            return "file"
+        return start[1] if start[1] in ("bag", "scene") else "stream"
+
+    @model_validator(mode="after")
+    def _complete(self) -> Camera:
+        if self.kind in ("bag", "scene") and not self.source.partition(":")[2]:
+            wanted = "bag:FOLDER" if self.kind == "bag" else "scene:NAME"
+            raise WrongValue(("source",), repr(self.source), wanted)
+        if self.kind != "scene" and self.calibration is None:
+            raise WrongValue(("calibration",), "nothing", "a CSV file of control points")
+        if self.kind == "bag" and self.model is not None:
+            found = f"'{self.model}' beside recorded boxes"
+            raise WrongValue(("model",), found, "no model, or a source with images")
+        check_overrides(self.parameters, CAMERA_NODES)
+        return self
+
+
+class Service(StrictModel):
+    """A part of the fleet with a process of its own."""
+
+    enabled: bool = True
+    parameters: dict[str, Value] = Field(default={})
+
+
+class FederatedServer(Service):
+    """The server that the cameras learn through; each camera then runs a `meta_client`."""
+
+    @model_validator(mode="after")
+    def _known(self) -> FederatedServer:
+        check_parameters(self.parameters, "federated_server")
+        return self
+
+
+class Twin(Service):
+    """The SUMO twin.
+
+    Attributes:
+        network: A SUMO network (`.net.xml`).
+    """
+
+    network: Path
+
+    @model_validator(mode="after")
+    def _known(self) -> Twin:
+        check_parameters(self.parameters, "sumo_bridge")
+        return self
+
+
+class Recorder(StrictModel):
+    """Trajectories and lanes of every camera, one database each.
+
+    Attributes:
+        folder: Where `<camera>.db` lie; relative to the fleet's output folder.
+    """
+
+    enabled: bool = True
+    folder: Path = Path("recordings")
+
+
+class Viewer(StrictModel):
+    """A server for viewers that speak Foxglove's protocol."""
+
+    enabled: bool = True
+    host: str = "127.0.0.1"
+    port: int = Field(default=8765, ge=1, le=65535)
+
+
+class Fleet(StrictModel):
+    """Cameras, and what they share.
+
+    Attributes:
+        name: Of the fleet; its output folder is called so unless one is given.
+        description: One sentence for people.
+        domain_id: ROS domain; default: the environment's ROS_DOMAIN_ID, else 0.
+        cameras: At least one.
+        federated_server: Where the cameras learn together; none: they don't.
+        twin: None: no twin.
+        recorder: None: nothing is recorded.
+        viewer: None: started by hand with `geoorbit view`.
+    """
+
+    name: Identifier
+    description: str = ""
+    domain_id: int | None = Field(default=None, ge=0, le=232)
+    cameras: list[Camera] = Field(min_length=1, max_length=MAX_CAMERAS)
+    federated_server: FederatedServer | None = None
+    twin: Twin | None = None
+    recorder: Recorder | None = None
+    viewer: Viewer | None = None
+
+    @model_validator(mode="after")
+    def _unique(self) -> Fleet:
+        first: dict[str, int] = {}
+        for k, camera in enumerate(self.cameras):
+            if camera.id in first:
+                key = ("cameras", k, "id")
+                raise WrongValue(key, f"'{camera.id}' again", "another id for each camera")
+            first[camera.id] = k
+        return self
+
+
+def check_overrides(overrides: Mapping[str, Mapping[str, Value]], nodes: tuple[str, ...]) -> None:
+    """Check parameters by node against the nodes' schemas.
+
+    Raises:
+        WrongValue: No such node or parameter, or a value that the parameter can't have.
+    """
+    for node, values in overrides.items():
+        if node not in nodes:
+            raise WrongValue(("parameters", node), "an unknown node", f"one of {', '.join(nodes)}")
+        check_parameters(values, node, ("parameters", node))
+
+
+def check_parameters(
+    values: Mapping[str, Value], node: str, key: tuple[str, ...] = ("parameters",)
+) -> None:
+    """Check one node's parameters.
+
+    Raises:
+        WrongValue: No such parameter, or a value that it can't have.
+    """
+    specs = {spec.name: spec for spec in load_schema(node)} if values else {}
+    for name, value in values.items():
+        if name not in specs:
+            known = ", ".join(sorted(specs))
+            raise WrongValue((*key, name), "an unknown parameter", f"one of {known}")
+        try:
+            specs[name].checked(value, node)
+        except ParameterError as error:
+            raise WrongValue((*key, name), error.found, error.expected) from error
+
+
+def shipped_fleets() -> list[str]:
+    """Names of the fleets that come with the package."""
+    return sorted(file.stem for file in share_path(FOLDER).glob("*.yaml"))
+
+
+def load_fleet(path: str | Path) -> tuple[Fleet, Path]:
+    """Read a fleet file, or a shipped fleet by its bare name.
+
+    Returns:
+        The fleet, and the file it was read from: its relative paths start there.
+
+    Raises:
+        InputFileError: No such file, or a value that a fleet can't have, with its line and key.
+    """
+    file = Path(path)
+    if not file.suffix and str(path) == file.name and not file.is_file():
+        if file.name not in shipped_fleets():
+            expected = f"a file, or one of {', '.join(shipped_fleets())}"
+            raise InputFileError(f"fleet '{path}'", "no such fleet", expected)
+        file = share_path(f"{FOLDER}/{path}.yaml")
+    return read_yaml(file, Fleet, "fleet"), file

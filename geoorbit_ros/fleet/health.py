@@ -1,0 +1,154 @@
+"""What the nodes of a fleet say on /diagnostics, as rows for people and scripts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+STALE_S = 5.0
+"""A node that said nothing for this long is counted as silent; it should every second."""
+
+
+@dataclass(frozen=True, slots=True)
+class NodeReport:
+    """The last status of one node.
+
+    Attributes:
+        name: Full name, `/north/tracker`.
+        ok: Whether it found no fault in itself.
+        message: Its sentence.
+        values: Its counters and gauges, as text.
+        age_s: Time since it came.
+    """
+
+    name: str
+    ok: bool
+    message: str
+    values: Mapping[str, str]
+    age_s: float
+
+    @property
+    def executable(self) -> str:
+        """The last part of the name."""
+        return self.name.rpartition("/")[2]
+
+    @property
+    def camera_id(self) -> str:
+        """The namespace, without slashes at its ends."""
+        return self.name.rpartition("/")[0].strip("/")
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A value of a camera's row.
+
+    Attributes:
+        key: In JSON.
+        title: In the table.
+        sources: Node and value to take it from; the first that is there counts.
+        summed: Whether all of them are added up instead.
+    """
+
+    key: str
+    title: str
+    sources: tuple[tuple[str, str], ...]
+    summed: bool = False
+
+
+_DATA_PATH = ("lane_geometry", "homography", "tracker", "detector", "camera", "bag_player")
+
+COLUMNS = (
+    Column(
+        "rate_hz",
+        "frames/s",
+        (("homography", "rate_hz"), ("tracker", "rate_hz"), ("camera", "rate_hz")),
+    ),
+    Column(
+        "latency_ms",
+        "latency ms",
+        (("homography", "age_ms_p99"), ("homography", "latency_ms_p99")),
+    ),
+    Column("dropped", "dropped", tuple((n, "dropped") for n in _DATA_PATH), summed=True),
+    Column("missing", "missing", tuple((n, "missing") for n in _DATA_PATH), summed=True),
+    Column("refused", "refused", tuple((n, "refused") for n in _DATA_PATH), summed=True),
+    Column("vehicles", "vehicles", (("homography", "vehicles"), ("tracker", "tracks"))),
+    Column("lanes_confirmed", "lanes", (("lane_geometry", "lanes_confirmed"),)),
+    Column("lanes_tentative", "tentative", (("lane_geometry", "lanes_tentative"),)),
+    Column(
+        "parameters",
+        "parameters",
+        (("lane_geometry", "parameter_version"), ("meta_client", "parameter_version")),
+    ),
+    Column("round", "round", (("meta_client", "round"),)),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One camera, or one service of the fleet.
+
+    Attributes:
+        name: Camera id, or the node's name for one without namespace.
+        healthy: Every node spoke within `STALE_S` and none found a fault.
+        nodes: How many nodes of it were heard.
+        problems: Sentences, with the node in front.
+        values: By column key (a camera) or by the node's own keys (a service).
+    """
+
+    name: str
+    healthy: bool
+    nodes: int
+    problems: tuple[str, ...]
+    values: Mapping[str, str] = field(default_factory=dict)
+
+
+def rows(
+    reports: Iterable[NodeReport], expected: Mapping[str, Sequence[str]] | None = None
+) -> tuple[list[Row], list[Row]]:
+    """Cameras and services, each in the order of their names.
+
+    Args:
+        reports: The last report of every node heard.
+        expected: Nodes that should be there, by camera id (`""` for the services), in the order to
+            show; None: whatever is heard.
+    """
+    by_place: dict[str, dict[str, NodeReport]] = {}
+    for report in reports:
+        by_place.setdefault(report.camera_id, {})[report.executable] = report
+    wanted = {name: list(nodes) for name, nodes in (expected or {}).items()}
+    names = list(wanted) if expected is not None else sorted(by_place)
+    cameras = [
+        _camera(name, by_place.get(name, {}), wanted.get(name, [])) for name in names if name
+    ]
+    heard = by_place.get("", {})
+    services = [
+        _service(name, heard.get(name)) for name in dict.fromkeys([*wanted.get("", []), *heard])
+    ]
+    return cameras, services
+
+
+def _camera(name: str, nodes: Mapping[str, NodeReport], wanted: Sequence[str]) -> Row:
+    problems = [f"{node}: not heard" for node in wanted if node not in nodes]
+    problems += [problem for report in nodes.values() for problem in _problems(report)]
+    values = {}
+    for column in COLUMNS:
+        found = [nodes[n].values.get(key, "") for n, key in column.sources if n in nodes]
+        found = [value for value in found if value]
+        if found:
+            total = sum(float(value) for value in found) if column.summed else None
+            values[column.key] = found[0] if total is None else f"{total:g}"
+    return Row(name, bool(nodes) and not problems, len(nodes), tuple(problems), values)
+
+
+def _service(name: str, report: NodeReport | None) -> Row:
+    if report is None:
+        return Row(name, False, 0, ("not heard",))
+    problems = tuple(_problems(report))
+    return Row(name, not problems, 1, problems, report.values)
+
+
+def _problems(report: NodeReport) -> Iterable[str]:
+    if report.age_s > STALE_S:
+        yield f"{report.executable}: silent for {report.age_s:.0f} s"
+    elif not report.ok:
+        yield f"{report.executable}: {report.message}"

@@ -1,0 +1,189 @@
+"""Which processes a fleet takes, and which nodes run in each."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+from geoorbit_ros.core.errors import GeoOrbitError, InputFileError
+from geoorbit_ros.fleet.fleet_file import Camera, Fleet, Value
+
+SERVER, TWIN, VIEWER = "federated_server", "twin", "viewer"
+"""Names of the processes that are no camera's; no camera may be called so."""
+
+
+class FleetPlanError(GeoOrbitError):
+    """A fleet that can't be started as it is asked for."""
+
+
+@dataclass(frozen=True, slots=True)
+class NodePlan:
+    """One node.
+
+    Attributes:
+        executable: As in `ros2 run geoorbit_ros EXECUTABLE`.
+        namespace: Its namespace; empty: none.
+        parameters: Values that go before its defaults.
+    """
+
+    executable: str
+    namespace: str = ""
+    parameters: Mapping[str, Value] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessPlan:
+    """One process: nodes on one executor.
+
+    Attributes:
+        name: A camera's id, or one of `SERVER`, `TWIN`, `VIEWER`.
+        nodes: In the order in which they start.
+    """
+
+    name: str
+    nodes: tuple[NodePlan, ...]
+
+    def to_json(self) -> str:
+        """The plan as its process reads it."""
+        return json.dumps(asdict(self), indent=2)
+
+    @staticmethod
+    def from_json(text: str, place: str) -> ProcessPlan:
+        """Read a plan.
+
+        Raises:
+            InputFileError: Not a plan.
+        """
+        try:
+            content = json.loads(text)
+            nodes = tuple(NodePlan(**node) for node in content["nodes"])
+            return ProcessPlan(content["name"], nodes)
+        except (ValueError, KeyError, TypeError) as error:
+            raise InputFileError(place, f"{type(error).__name__}: {error}", "a plan") from error
+
+
+def plan_fleet(fleet: Fleet, base: Path, output: Path) -> tuple[ProcessPlan, ...]:
+    """The processes of a fleet in the order in which they start: what others wait for comes first.
+
+    Args:
+        fleet: The fleet.
+        base: Folder that relative paths in the fleet file start from.
+        output: Folder of logs, recordings and state.
+
+    Raises:
+        FleetPlanError: Files that the fleet names and that are not there, all of them in one
+            sentence, or a camera called like a service.
+    """
+    _check_names(fleet)
+    _check_files(fleet, base)
+    return plan_nodes(fleet, base, output)
+
+
+def plan_nodes(fleet: Fleet, base: Path, output: Path) -> tuple[ProcessPlan, ...]:
+    """As `plan_fleet`, without a look at the files."""
+    plans = []
+    if fleet.federated_server and fleet.federated_server.enabled:
+        state = {"checkpoint_folder": str(output / "state" / SERVER)}
+        node = NodePlan("federated_server", "", state | fleet.federated_server.parameters)
+        plans.append(ProcessPlan(SERVER, (node,)))
+    cameras = [camera for camera in fleet.cameras if camera.enabled]
+    if fleet.twin and fleet.twin.enabled:
+        wiring: dict[str, Value] = {
+            "network": str(base / fleet.twin.network),
+            "cameras": ",".join(camera.id for camera in cameras),
+        }
+        plans.append(
+            ProcessPlan(TWIN, (NodePlan("sumo_bridge", "", wiring | fleet.twin.parameters),))
+        )
+    plans += [ProcessPlan(c.id, tuple(camera_nodes(c, fleet, base, output))) for c in cameras]
+    return tuple(plans)
+
+
+def camera_nodes(camera: Camera, fleet: Fleet, base: Path, output: Path) -> Iterable[NodePlan]:
+    """The nodes of one camera, readers before writers: nothing is sent before it can be heard."""
+    width, height = camera.image_size
+    size: dict[str, Value] = {"image_width": width, "image_height": height}
+    ground: dict[str, Value] = {"calibration_file": str(calibration_file(camera, base, output))}
+    if camera.datum:
+        ground["datum_latitude_deg"] = camera.datum.latitude_deg
+        ground["datum_longitude_deg"] = camera.datum.longitude_deg
+    wiring: dict[str, dict[str, Value]] = {}
+    if fleet.recorder and fleet.recorder.enabled:
+        folder = output / fleet.recorder.folder
+        wiring["recorder"] = {"database": str(folder / f"{camera.id}.db")}
+    if fleet.federated_server and fleet.federated_server.enabled:
+        wiring["meta_client"] = {"calibration_file": ground["calibration_file"], **size}
+    state = str(output / "state" / camera.id / "lanes.npz")
+    wiring["lane_geometry"] = {"state_file": state}
+    wiring["homography"] = ground | size
+    if camera.kind == "bag":
+        bag = str(base / camera.source.partition(":")[2])
+        wiring["bag_player"] = {"bag": bag, "loop": True, "camera_id": camera.id}
+    else:
+        model = str(base / camera.model) if camera.model else ""
+        wiring["tracker"] = {}
+        wiring["detector"] = {"model": model}
+        wiring["camera"] = {"source": image_source(camera, base)}
+    for executable, values in wiring.items():
+        merged = values | camera.parameters.get(executable, {})
+        yield NodePlan(executable, camera.id, merged)
+
+
+def expected_nodes(fleet: Fleet) -> dict[str, list[str]]:
+    """Executables that a running fleet shows, by camera id; `""` for those without a namespace."""
+    plans = plan_nodes(fleet, Path(), Path())
+    expected: dict[str, list[str]] = {}
+    for plan in plans:
+        for node in plan.nodes:
+            expected.setdefault(node.namespace, []).append(node.executable)
+    return expected
+
+
+def image_source(camera: Camera, base: Path) -> str:
+    """What the camera node opens: local paths start at the fleet file's folder."""
+    return str(base / camera.source) if camera.kind == "file" else camera.source
+
+
+def calibration_file(camera: Camera, base: Path, output: Path) -> Path:
+    """The camera's control points; a made-up camera's are written by `geoorbit up`."""
+    if camera.calibration is None:
+        return output / "calibration" / f"{camera.id}.csv"
+    return base / camera.calibration
+
+
+def select(plans: Sequence[ProcessPlan], only: Sequence[str]) -> tuple[ProcessPlan, ...]:
+    """The processes of these names; all when there is none.
+
+    Raises:
+        FleetPlanError: A name that no process has.
+    """
+    known = [plan.name for plan in plans]
+    for name in only:
+        if name not in known:
+            raise FleetPlanError("--only", f"'{name}'", f"one of {', '.join(known)}")
+    return tuple(plan for plan in plans if not only or plan.name in only)
+
+
+def _check_names(fleet: Fleet) -> None:
+    for camera in fleet.cameras:
+        if camera.id in (SERVER, TWIN, VIEWER):
+            raise FleetPlanError("fleet, camera id", f"'{camera.id}'", "a name that no service has")
+
+
+def _check_files(fleet: Fleet, base: Path) -> None:
+    missing = []
+    for camera in fleet.cameras:
+        if not camera.enabled:
+            continue
+        files = [camera.calibration, camera.model]
+        if camera.kind == "bag":
+            files.append(Path(camera.source.partition(":")[2]))
+        elif camera.kind == "file":
+            files.append(Path(camera.source))
+        missing += [f"{camera.id}: {base / f}" for f in files if f and not (base / f).exists()]
+    if fleet.twin and fleet.twin.enabled and not (base / fleet.twin.network).exists():
+        missing.append(f"twin: {base / fleet.twin.network}")
+    if missing:
+        raise FleetPlanError("fleet files", f"no {'; no '.join(missing)}", "files that exist")

@@ -1,0 +1,240 @@
+"""Keeps the processes of a fleet running: start in order, heartbeat, restart, stop in time.
+
+No ROS in here: a process shows that it lives by writing to a pipe from the loop that spins its
+nodes, so that one that hangs is told from one that is busy.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import selectors
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+
+from geoorbit_ros.fleet.plan import ProcessPlan
+
+HEARTBEAT_PERIOD_S = 1.0
+LOG_BYTES = 5_000_000
+"""A log file that is larger when its process starts is set aside as `.1`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """How long things may take.
+
+    Attributes:
+        heartbeat_s: Without a heartbeat for this long a process hangs, and is replaced.
+        start_s: For the first heartbeat: imports on a busy machine, a twin that loads its network.
+        first_back_off_s: From an end to the next start; doubled each time it ends again …
+        last_back_off_s: … up to this.
+        steady_s: After this long alive, the next end is a first one again.
+        interrupt_s: From Ctrl-C to SIGTERM when all is stopped, from the beginning.
+        kill_s: The same to SIGKILL. The promise is that five seconds are enough.
+    """
+
+    heartbeat_s: float = 8.0
+    start_s: float = 60.0
+    first_back_off_s: float = 0.5
+    last_back_off_s: float = 30.0
+    steady_s: float = 30.0
+    interrupt_s: float = 3.0
+    kill_s: float = 4.5
+
+
+class State(Enum):
+    """Of a process."""
+
+    WAITING = "waiting"
+    STARTING = "starting"
+    RUNNING = "running"
+    STOPPED = "stopped"
+
+
+@dataclass
+class Member:
+    """One process of the fleet.
+
+    Attributes:
+        plan: What runs in it.
+        state: What it does.
+        restarts: How often it was replaced.
+        last_end: Why it last ended, as words; empty: it never did.
+    """
+
+    plan: ProcessPlan
+    state: State = State.WAITING
+    restarts: int = 0
+    last_end: str = ""
+    process: subprocess.Popen[bytes] | None = None
+    _pipe: int = -1
+    _since_s: float = 0.0
+    _beat_s: float = 0.0
+    _back_off_s: float = 0.0
+    _due_s: float = 0.0
+
+
+class Supervisor:
+    """Runs the processes of a fleet.
+
+    Args:
+        plans: In the order in which they start; each waits for the first heartbeat of the one
+            before, so that what others need is there first.
+        output: Folder; logs go to `logs/<process>.log` in it, plans to `plans/`.
+        environment: Variables that go before this process's own.
+        on_event: Told process and sentence whenever one starts, ends or is replaced.
+        command: How to run a plan: called with the plan's file and the heartbeat's descriptor.
+        timing: How long things may take.
+    """
+
+    def __init__(
+        self,
+        plans: Sequence[ProcessPlan],
+        output: Path,
+        environment: Mapping[str, str] | None = None,
+        on_event: Callable[[str, str], None] = lambda _name, _text: None,
+        command: Callable[[Path, int], list[str]] | None = None,
+        timing: Timing | None = None,
+    ) -> None:
+        self.members = {plan.name: Member(plan) for plan in plans}
+        self._output = output
+        # What the ROS wheels leave in the environment is right for this same interpreter.
+        self._environment = {**os.environ, "PYTHONUNBUFFERED": "1", **(environment or {})}
+        self._on_event = on_event
+        self._command = command or group_command
+        self._timing = timing or Timing()
+        self._selector = selectors.DefaultSelector()
+        for folder in ("logs", "plans"):
+            (output / folder).mkdir(parents=True, exist_ok=True)
+
+    @property
+    def all_running(self) -> bool:
+        """Whether every process has shown that it lives."""
+        return all(member.state is State.RUNNING for member in self.members.values())
+
+    def step(self, timeout_s: float) -> None:
+        """Do what is due: start, replace, take heartbeats. Returns after `timeout_s` at most."""
+        for key, _ in self._selector.select(timeout_s):
+            self._take_heartbeat(key.data)
+        now = time.monotonic()
+        blocked = False
+        for member in self.members.values():
+            self._watch(member, now)
+            if member.state is State.WAITING and not blocked and now >= member._due_s:
+                self._start(member, now)
+            # One after the other at first; a member that is being replaced holds nobody up.
+            blocked = blocked or (member.state is not State.RUNNING and member.restarts == 0)
+
+    def stop(self) -> None:
+        """End all processes: Ctrl-C first, then SIGTERM, then SIGKILL, within `Timing.kill_s`."""
+        alive = [m for m in self.members.values() if m.process and m.process.poll() is None]
+        started = time.monotonic()
+        for member in alive:
+            _signal(member, signal.SIGINT)
+        timing = self._timing
+        steps = ((timing.interrupt_s, signal.SIGTERM), (timing.kill_s, signal.SIGKILL))
+        for deadline_s, number in steps:
+            while any(m.process and m.process.poll() is None for m in alive):
+                if time.monotonic() - started > deadline_s:
+                    break
+                self._selector.select(0.05)
+            for member in alive:
+                if member.process and member.process.poll() is None:
+                    self._on_event(member.plan.name, f"did not end; {number.name}")
+                    _signal(member, number)
+        for member in self.members.values():
+            if member.process:
+                member.process.wait()
+            self._close_pipe(member)
+            member.state = State.STOPPED
+        self._selector.close()
+
+    def _start(self, member: Member, now: float) -> None:
+        name = member.plan.name
+        plan_file = self._output / "plans" / f"{name}.json"
+        plan_file.write_text(member.plan.to_json(), encoding="utf-8")
+        log_file = self._output / "logs" / f"{name}.log"
+        if log_file.exists() and log_file.stat().st_size > LOG_BYTES:
+            log_file.replace(log_file.with_suffix(".log.1"))
+        read_end, write_end = os.pipe()
+        os.set_blocking(read_end, False)
+        with log_file.open("ab") as log:
+            # A session of its own: Ctrl-C reaches this process first, which ends them in order.
+            member.process = subprocess.Popen(
+                self._command(plan_file, write_end),
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                env=self._environment,
+                pass_fds=(write_end,),
+                start_new_session=True,
+            )
+        os.close(write_end)
+        member._pipe, member._since_s, member._beat_s = read_end, now, now
+        member.state = State.STARTING
+        self._selector.register(read_end, selectors.EVENT_READ, member)
+        self._on_event(name, f"started, process {member.process.pid}")
+
+    def _take_heartbeat(self, member: Member) -> None:
+        beats = os.read(member._pipe, 4096)
+        if not beats:  # the other end is closed; `_watch` finds out why
+            self._selector.unregister(member._pipe)
+            return
+        member._beat_s = time.monotonic()
+        if member.state is State.STARTING:
+            member.state = State.RUNNING
+            self._on_event(
+                member.plan.name, f"running after {member._beat_s - member._since_s:.1f} s"
+            )
+
+    def _watch(self, member: Member, now: float) -> None:
+        process = member.process
+        if process is None or member.state is State.WAITING:
+            return
+        status = process.poll()
+        if status is None:
+            starting = member.state is State.STARTING
+            limit = self._timing.start_s if starting else self._timing.heartbeat_s
+            if now - member._beat_s <= limit:
+                return
+            _signal(member, signal.SIGKILL)
+            process.wait()
+            reason = f"no heartbeat for {limit:g} s, ended by force"
+        else:
+            reason = f"ended by {signal.Signals(-status).name}" if status < 0 else f"exit {status}"
+        if now - member._since_s > self._timing.steady_s:
+            member._back_off_s = 0.0
+        member._back_off_s = max(member._back_off_s, self._timing.first_back_off_s)
+        self._close_pipe(member)
+        member.process, member.state, member.last_end = None, State.WAITING, reason
+        member.restarts += 1
+        member._due_s = now + member._back_off_s
+        hint = "" if status is None or status < 0 else f"; see logs/{member.plan.name}.log"
+        self._on_event(member.plan.name, f"{reason}{hint}; again in {member._back_off_s:g} s")
+        member._back_off_s = min(2.0 * member._back_off_s, self._timing.last_back_off_s)
+
+    def _close_pipe(self, member: Member) -> None:
+        if member._pipe >= 0:
+            with contextlib.suppress(KeyError):  # its end was seen, so it is no longer watched
+                self._selector.unregister(member._pipe)
+            os.close(member._pipe)
+            member._pipe = -1
+
+
+def group_command(plan_file: Path, heartbeat_fd: int) -> list[str]:
+    """Run a plan's nodes in a process of their own."""
+    module = "geoorbit_ros.nodes.group"
+    return [sys.executable, "-m", module, str(plan_file), str(heartbeat_fd)]
+
+
+def _signal(member: Member, number: signal.Signals) -> None:
+    """Send a signal to a process and what it started itself."""
+    if member.process:
+        with contextlib.suppress(ProcessLookupError):  # it ended in between
+            os.killpg(member.process.pid, number)

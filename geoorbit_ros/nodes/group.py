@@ -1,0 +1,114 @@
+"""Runs the nodes of one process of a fleet on one executor, with a heartbeat for its supervisor."""
+
+from __future__ import annotations
+
+import inspect
+import os
+import signal
+import sys
+import time
+from collections.abc import Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from rclpy.executors import ExternalShutdownException
+
+from geoorbit_ros.core.errors import GeoOrbitError, ParameterError
+from geoorbit_ros.fleet.plan import NodePlan, ProcessPlan
+from geoorbit_ros.fleet.supervisor import HEARTBEAT_PERIOD_S
+from geoorbit_ros.nodes.base import GeoOrbitNode
+from geoorbit_ros.nodes.process import SIGNALS, SPIN_TIMEOUT_S, make_executor
+
+
+class Heartbeat:
+    """Writes to a pipe once a second, from the loop that spins the nodes.
+
+    Args:
+        descriptor: Writing end of the pipe.
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+        self._due_s = 0.0
+
+    def beat(self) -> bool:
+        """Show that the loop turns; False when nobody listens any more."""
+        now = time.monotonic()
+        if now < self._due_s:
+            return True
+        self._due_s = now + HEARTBEAT_PERIOD_S
+        try:
+            os.write(self._descriptor, b".")
+        except BrokenPipeError:
+            return False
+        return True
+
+
+def node_class(executable: str) -> type[GeoOrbitNode[Any]]:
+    """The node behind an executable's name.
+
+    Raises:
+        ParameterError: There is none.
+    """
+    try:
+        module = import_module(f"geoorbit_ros.nodes.{executable}")
+    except ModuleNotFoundError as error:
+        raise ParameterError("node", f"'{executable}'", "an executable of geoorbit_ros") from error
+    for _, found in inspect.getmembers(module, inspect.isclass):
+        if issubclass(found, GeoOrbitNode) and getattr(found, "name", "") == executable:
+            return found
+    raise ParameterError("node", f"'{executable}'", f"a node class in {module.__name__}")
+
+
+def run_group(plan: ProcessPlan, heartbeat: Heartbeat) -> int:
+    """Start the plan's nodes and spin them until told to end, or until the supervisor is gone.
+
+    Returns:
+        Exit status: 0 when told to end, 2 with one sentence when a node can't start.
+    """
+    told: list[int] = []
+    for number in SIGNALS:
+        signal.signal(number, lambda received, _: told.append(received))
+    nodes: list[GeoOrbitNode[Any]] = []
+    try:
+        rclpy.init(args=[])
+        executor = make_executor()
+        for node in plan.nodes:
+            nodes.append(_make(node))
+            executor.add_node(nodes[-1])
+        while rclpy.ok() and not told and heartbeat.beat():
+            executor.spin_once(timeout_sec=SPIN_TIMEOUT_S)
+    except ExternalShutdownException:
+        pass
+    except GeoOrbitError as error:
+        print(error, file=sys.stderr)
+        return 2
+    except Exception:
+        if not told:  # told to end while a node was being made, its context may be gone
+            raise
+    finally:
+        for made in reversed(nodes):
+            made.close()
+            made.destroy_node()
+        rclpy.try_shutdown()
+        for number in SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
+    return 0
+
+
+def _make(plan: NodePlan) -> GeoOrbitNode[Any]:
+    make = node_class(plan.executable)
+    return make(namespace=plan.namespace or None, overrides=plan.parameters)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """`python -m geoorbit_ros.nodes.group PLAN.json DESCRIPTOR`."""
+    plan_file, descriptor = args or sys.argv[1:]
+    plan = ProcessPlan.from_json(Path(plan_file).read_text(encoding="utf-8"), plan_file)
+    return run_group(plan, Heartbeat(int(descriptor)))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,186 @@
+"""Fleet files: what is right is read, what is wrong is said in one sentence with its place."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from geoorbit_ros.core.errors import InputFileError
+from geoorbit_ros.fleet.fleet_file import CAMERA_NODES, load_fleet
+from geoorbit_ros.fleet.plan import (
+    FleetPlanError,
+    ProcessPlan,
+    expected_nodes,
+    plan_fleet,
+    plan_nodes,
+    select,
+)
+
+GOOD = """\
+name: crossing
+domain_id: 7
+cameras:
+  - id: north
+    source: bag:north_bag
+    calibration: north.csv
+    image_size: [1920, 1080]
+    datum: {latitude_deg: 43.0, longitude_deg: -89.4}
+    parameters:
+      lane_geometry: {update_period_s: 2}
+  - id: south
+    source: rtsp://camera.example/south
+    calibration: south.csv
+federated_server: {}
+twin: {network: roads.net.xml}
+recorder: {folder: databases}
+viewer: {port: 8765}
+"""
+
+
+def write(folder: Path, text: str) -> Path:
+    file = folder / "fleet.yaml"
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+def test_a_fleet_is_read_with_its_defaults(tmp_path: Path) -> None:
+    fleet, file = load_fleet(write(tmp_path, GOOD))
+    assert [camera.id for camera in fleet.cameras] == ["north", "south"]
+    assert [camera.kind for camera in fleet.cameras] == ["bag", "stream"]
+    assert fleet.cameras[1].image_size == (1920, 1080)
+    assert fleet.twin and fleet.twin.enabled
+    assert file.parent == tmp_path
+
+
+# What is replaced by what, the place that the sentence names, and a word of what it allows.
+WRONG = [
+    ("name: crossing", "name: 4way", "line 1, key 'name'", "a letter first"),
+    ("name: crossing\n", "", "line 1, key 'name'", "expected"),
+    ("domain_id: 7", "domain_id: 233", "line 2, key 'domain_id'", "232"),
+    ("domain_id: 7", "domain_id: seven", "line 2, key 'domain_id'", "a whole number"),
+    ("domain_id: 7", "domian_id: 7", "line 2, key 'domian_id'", "'domain_id'?"),
+    ("cameras:", "camera:", "line 3, key 'camera'", "'cameras'?"),
+    ("id: north", "id: no-rth", "line 4, key 'cameras[0].id'", "letters, digits and _"),
+    ("id: south", "id: north", "line 11, key 'cameras[1].id'", "another id"),
+    ("source: bag:north_bag", "source: 'bag:'", "line 5, key 'cameras[0].source'", "bag:FOLDER"),
+    ("source: bag:north_bag", "source: 'scene:'", "line 5, key 'cameras[0].source'", "scene:NAME"),
+    ("source: bag:north_bag", "source: ''", "line 5, key 'cameras[0].source'", "at least 1"),
+    ("    source: bag:north_bag\n", "", "key 'cameras[0].source'", "expected"),
+    ("    calibration: south.csv\n", "", "key 'cameras[1].calibration'", "control points"),
+    ("[1920, 1080]", "[1920]", "line 7, key 'cameras[0].image_size", "expected"),
+    ("[1920, 1080]", "[1920, 0]", "line 7, key 'cameras[0].image_size[1]'", "16"),
+    ("latitude_deg: 43.0", "latitude_deg: 143.0", "line 8", "90"),
+    ("latitude_deg: 43.0", "latitude_deg: .nan", "line 8", "a finite number"),
+    ("latitude_deg: 43.0", "latitude: 43.0", "line 8", "'latitude_deg'?"),
+    ("lane_geometry: {", "lane_geomtry: {", "line 10", "lane_geometry"),
+    ("update_period_s: 2", "update_period: 2", "line 10", "update_period_s"),
+    ("update_period_s: 2", "update_period_s: fast", "line 10", "a number"),
+    ("update_period_s: 2", "update_period_s: -1", "line 10", "from 0.1"),
+    ("calibration: south.csv", "calibration: 3", "line 13", "path"),
+    ("network: roads.net.xml", "parameters: {}", "key 'twin.network'", "expected"),
+    ("federated_server: {}", "federated_server: {rounds: 3}", "line 14", "a key that fleet"),
+    ("federated_server: {}", "federated_server: 3", "line 14", "expected"),
+    ("port: 8765", "port: 0", "line 17, key 'viewer.port'", "1"),
+    ("port: 8765", "prt: 8765", "line 17, key 'viewer.prt'", "'port'?"),
+    ("  - id: north", "  - [id: north", "line", "a fleet file"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "place", "allowed"), WRONG)
+def test_a_wrong_fleet_file_gives_one_sentence_with_place_and_expectation(
+    tmp_path: Path, old: str, new: str, place: str, allowed: str
+) -> None:
+    assert old in GOOD
+    file = write(tmp_path, GOOD.replace(old, new, 1))
+    with pytest.raises(InputFileError) as caught:
+        load_fleet(file)
+    message = str(caught.value)
+    assert message.startswith(str(file))
+    assert place in message
+    assert allowed in message
+    assert "\n" not in message
+
+
+def test_a_camera_list_that_is_empty_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputFileError, match="at least 1"):
+        load_fleet(write(tmp_path, "name: none\ncameras: []\n"))
+
+
+def test_a_missing_file_and_an_unknown_shipped_fleet_are_named(tmp_path: Path) -> None:
+    with pytest.raises(InputFileError, match=r"nowhere\.yaml: found no such file"):
+        load_fleet(tmp_path / "nowhere.yaml")
+    with pytest.raises(InputFileError, match="fleet 'nowhere': found no such fleet"):
+        load_fleet("nowhere")
+
+
+def test_files_that_are_not_there_are_named_all_at_once(tmp_path: Path) -> None:
+    fleet, _ = load_fleet(write(tmp_path, GOOD))
+    with pytest.raises(FleetPlanError) as caught:
+        plan_fleet(fleet, tmp_path, tmp_path / "out")
+    for name in ("north.csv", "north_bag", "south.csv", "roads.net.xml"):
+        assert str(tmp_path / name) in str(caught.value)
+    (tmp_path / "north_bag").mkdir()
+    for name in ("north.csv", "south.csv", "roads.net.xml"):
+        (tmp_path / name).touch()
+    assert len(plan_fleet(fleet, tmp_path, tmp_path / "out")) == 4
+
+
+def test_each_camera_is_one_process_and_services_start_first(tmp_path: Path) -> None:
+    fleet, _ = load_fleet(write(tmp_path, GOOD))
+    plans = plan_nodes(fleet, tmp_path, tmp_path / "out")
+    assert [plan.name for plan in plans] == ["federated_server", "twin", "north", "south"]
+    north, south = ({n.executable: n for n in plan.nodes} for plan in plans[2:])
+    assert "bag_player" in north and "camera" not in north
+    assert {"camera", "detector", "tracker"} <= set(south)
+    assert all(node.namespace == "north" for node in north.values())
+    assert north["lane_geometry"].parameters["update_period_s"] == 2
+    assert north["homography"].parameters["datum_latitude_deg"] == 43.0
+    assert south["camera"].parameters["source"] == "rtsp://camera.example/south"
+
+
+def test_readers_start_before_writers(tmp_path: Path) -> None:
+    fleet, _ = load_fleet(write(tmp_path, GOOD))
+    for plan in plan_nodes(fleet, tmp_path, tmp_path)[2:]:
+        order = [CAMERA_NODES.index(n.executable) for n in plan.nodes if n.executable in WAY]
+        assert order == sorted(order, reverse=True)
+
+
+WAY = ("bag_player", "camera", "detector", "tracker", "homography", "lane_geometry")
+
+
+def test_disabled_parts_are_left_out(tmp_path: Path) -> None:
+    text = GOOD.replace("federated_server: {}", "federated_server: {enabled: false}")
+    text = text.replace("network: roads.net.xml", "network: roads.net.xml, enabled: false")
+    text = text.replace("calibration: south.csv", "calibration: south.csv\n    enabled: false")
+    fleet, _ = load_fleet(write(tmp_path, text))
+    plans = plan_nodes(fleet, tmp_path, tmp_path)
+    assert [plan.name for plan in plans] == ["north"]
+    assert "meta_client" not in {node.executable for node in plans[0].nodes}
+    assert set(expected_nodes(fleet)) == {"north"}
+
+
+def test_only_selects_and_names_what_there_is(tmp_path: Path) -> None:
+    fleet, _ = load_fleet(write(tmp_path, GOOD))
+    plans = plan_nodes(fleet, tmp_path, tmp_path)
+    assert [plan.name for plan in select(plans, ["north"])] == ["north"]
+    assert select(plans, []) == plans
+    with pytest.raises(FleetPlanError, match="one of federated_server, twin, north, south"):
+        select(plans, ["west"])
+
+
+def test_a_camera_can_not_be_called_like_a_service(tmp_path: Path) -> None:
+    fleet, _ = load_fleet(write(tmp_path, GOOD.replace("id: north", "id: twin")))
+    with pytest.raises(FleetPlanError, match="'twin'"):
+        plan_fleet(fleet, tmp_path, tmp_path)
+
+
+def test_a_plan_survives_the_way_to_its_process(tmp_path: Path) -> None:
+    fleet, _ = load_fleet(write(tmp_path, GOOD))
+    for plan in plan_nodes(fleet, tmp_path, tmp_path):
+        assert ProcessPlan.from_json(plan.to_json(), "here") == plan
+    with pytest.raises(InputFileError, match="a plan"):
+        ProcessPlan.from_json("{}", "here")
+
+
+def test_the_good_file_of_these_tests_is_yaml() -> None:
+    assert yaml.safe_load(GOOD)["name"] == "crossing"

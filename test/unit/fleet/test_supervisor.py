@@ -1,0 +1,141 @@
+"""Processes that end or hang come back; all of them are gone when the supervisor stops."""
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from geoorbit_ros.fleet.plan import ProcessPlan
+from geoorbit_ros.fleet.supervisor import State, Supervisor, Timing
+
+QUICK = Timing(
+    heartbeat_s=0.5, start_s=10.0, first_back_off_s=0.05, last_back_off_s=0.2, kill_s=1.0,
+    interrupt_s=0.5,
+)  # fmt: skip
+DEADLINE_S = 20.0
+
+# What a process does; `beat` writes one heartbeat.
+BEHAVIOURS = {
+    "steady": "while True: beat(); time.sleep(0.02)",
+    "hangs": "beat(); time.sleep(60)",
+    "mute": "time.sleep(60)",
+    "fails": "beat(); print('no such camera'); sys.exit(2)",
+    "stubborn": "signal.signal(2, signal.SIG_IGN); signal.signal(15, signal.SIG_IGN)\n"
+    "while True: beat(); time.sleep(0.02)",
+}
+PROGRAM = "import os, signal, sys, time\ndef beat(): os.write(int(sys.argv[1]), b'.')\n"
+
+Make = Callable[..., Supervisor]
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Iterator[Make]:
+    made: list[Supervisor] = []
+
+    def build(*names: str, timing: Timing = QUICK) -> Supervisor:
+        def command(plan_file: Path, descriptor: int) -> list[str]:
+            behaviour = BEHAVIOURS[plan_file.stem.partition("_")[0]]
+            return [sys.executable, "-c", PROGRAM + behaviour, str(descriptor)]
+
+        made.append(
+            Supervisor(
+                [ProcessPlan(name, ()) for name in names],
+                tmp_path,
+                on_event=lambda name, text: events.append((name, text)),
+                command=command,
+                timing=timing,
+            )
+        )
+        return made[-1]
+
+    events.clear()
+    yield build
+    for supervisor in made:
+        supervisor.stop()
+
+
+events: list[tuple[str, str]] = []
+
+
+def run_until(supervisor: Supervisor, met: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + DEADLINE_S
+    while not met():
+        assert time.monotonic() < deadline, events
+        supervisor.step(0.02)
+
+
+def process_of(supervisor: Supervisor, name: str) -> int:
+    process = supervisor.members[name].process
+    assert process is not None
+    return process.pid
+
+
+def is_gone(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return True
+    return False
+
+
+def test_each_process_waits_for_the_one_before(make: Make) -> None:
+    supervisor = make("steady_a", "steady_b", "steady_c")
+    run_until(supervisor, lambda: supervisor.all_running)
+    order = [name for name, text in events if "running" in text or text.startswith("started")]
+    assert order == ["steady_a"] * 2 + ["steady_b"] * 2 + ["steady_c"] * 2
+
+
+def test_a_killed_process_comes_back_and_the_others_stay(make: Make) -> None:
+    supervisor = make("steady_a", "steady_b")
+    run_until(supervisor, lambda: supervisor.all_running)
+    victim, other = process_of(supervisor, "steady_a"), process_of(supervisor, "steady_b")
+    os.kill(victim, signal.SIGKILL)
+    member = supervisor.members["steady_a"]
+    run_until(supervisor, lambda: member.restarts == 1 and supervisor.all_running)
+    assert process_of(supervisor, "steady_a") != victim
+    assert process_of(supervisor, "steady_b") == other
+    assert member.last_end == "ended by SIGKILL"
+
+
+@pytest.mark.parametrize("behaviour", ["hangs", "mute"])
+def test_a_process_without_heartbeat_is_replaced(make: Make, behaviour: str) -> None:
+    supervisor = make(behaviour, timing=Timing(0.3, 0.6, 0.05, 0.1, 30.0, 0.2, 0.4))
+    run_until(supervisor, lambda: supervisor.members[behaviour].restarts >= 1)
+    assert "no heartbeat" in supervisor.members[behaviour].last_end
+
+
+def test_a_process_that_keeps_failing_is_tried_ever_more_rarely(make: Make, tmp_path: Path) -> None:
+    supervisor = make("fails")
+    run_until(supervisor, lambda: supervisor.members["fails"].restarts == 4)
+    pauses = [text.rpartition("again in ")[2] for _, text in events if "again in" in text]
+    assert pauses == ["0.05 s", "0.1 s", "0.2 s", "0.2 s"]
+    assert "exit 2; see logs/fails.log" in events[-1][1]
+    assert (tmp_path / "logs" / "fails.log").read_text().count("no such camera") == 4
+
+
+def test_a_failing_process_holds_up_only_those_that_were_never_up(make: Make) -> None:
+    supervisor = make("fails", "steady")
+    run_until(supervisor, lambda: supervisor.members["steady"].state is State.RUNNING)
+
+
+@pytest.mark.parametrize("behaviour", ["steady", "hangs", "stubborn"])
+def test_stop_ends_every_process_in_time(make: Make, behaviour: str) -> None:
+    supervisor = make(f"{behaviour}_a", f"{behaviour}_b")
+    run_until(supervisor, lambda: supervisor.all_running)
+    pids = [process_of(supervisor, name) for name in supervisor.members]
+    started = time.monotonic()
+    supervisor.stop()
+    assert time.monotonic() - started < QUICK.kill_s + 1.0
+    assert all(is_gone(pid) for pid in pids)
+    forced = [text for _, text in events if "SIGKILL" in text]
+    assert len(forced) == (2 if behaviour == "stubborn" else 0)
+
+
+def test_the_default_times_keep_the_promises() -> None:
+    timing = Timing()
+    assert timing.kill_s < 5.0
+    assert timing.first_back_off_s < 1.0
