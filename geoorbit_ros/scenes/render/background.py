@@ -1,0 +1,190 @@
+"""What the camera sees when no vehicle is there: sky, land, road."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.scenes.camera import PinholeCamera
+from geoorbit_ros.scenes.render.conditions import Colour, Illumination
+from geoorbit_ros.scenes.render.landscape import add_skyline
+from geoorbit_ros.scenes.render.raster import coverage
+from geoorbit_ros.scenes.render.surface import RoadSurface, Strip, shifted
+from geoorbit_ros.scenes.render.texture import GroundNoise
+
+LINE_WIDTH_M = 0.18
+HORIZON_M = 4000.0
+"""Points further away than this are sky."""
+VERGE_M = 0.7
+"""Gravel beside the pavement."""
+
+Picture = NDArray[np.float32]
+"""(H, W, 3) blue, green, red; 1 is white."""
+
+GRASS: Colour = (0.20, 0.40, 0.33)
+DRY_GRASS: Colour = (0.30, 0.47, 0.50)
+GRAVEL: Colour = (0.45, 0.50, 0.53)
+ASPHALT: Colour = (0.405, 0.40, 0.395)
+PAINT: Colour = (0.90, 0.91, 0.91)
+
+
+@dataclass(frozen=True)
+class Background:
+    """The empty scene.
+
+    Attributes:
+        albedo: Colours of the ground without light; 0 in the sky.
+        ground: (H, W) 1 on the ground, 0 in the sky.
+        pavement: (H, W) share of asphalt.
+        distance_m: (H, W) from the camera to the ground, `HORIZON_M` in the sky.
+        lit: The picture in full light.
+        shade: The same with the sun behind something.
+    """
+
+    albedo: Picture
+    ground: NDArray[np.float32]
+    pavement: NDArray[np.float32]
+    distance_m: NDArray[np.float32]
+    lit: Picture
+    shade: Picture
+
+
+def make_background(
+    camera: PinholeCamera, surface: RoadSurface, light: Illumination, wet: bool, seed: int
+) -> Background:
+    """Paint the empty scene once; it takes about a second."""
+    noise = GroundNoise(seed)
+    ground_m, distance, footprint = _ground_points(camera)
+    ground = (distance < HORIZON_M).astype(np.float32)
+    land = _land(noise, ground_m, footprint)
+    verge = [_widened(strip, VERGE_M) for strip in surface.paved]
+    pavement = coverage(camera, surface.paved)
+    _blend(land, _tinted(GRAVEL, noise, ground_m, footprint, 0.35, 0.05), coverage(camera, verge))
+    _blend(land, _asphalt(camera, surface, noise, ground_m, footprint), pavement)
+    worn = 0.80 + 0.10 * noise.sample(ground_m, 0.6, footprint)
+    paint = coverage(camera, surface.paint(LINE_WIDTH_M)) * np.clip(worn, 0.5, 1.0)
+    _blend(land, np.broadcast_to(np.float32(PAINT), land.shape), paint)
+    if wet:
+        land *= (1.0 - 0.28 * pavement)[..., None]
+    add_skyline_seed = seed
+    sky = _sky(camera, light, noise)
+    clear = np.exp(-distance / light.haze_m)[..., None]
+    level = np.float32(light.ambient)
+    sunny = level + np.float32(light.sun) * np.float32(max(light.sun_direction[2], 0.0))
+    haze = np.float32(light.horizon)
+
+    def shown(amount: NDArray[np.float32]) -> Picture:
+        picture = land * amount * clear + haze * (1.0 - clear)
+        if wet:
+            picture += _mirror(camera, light, distance, pavement)
+        picture = picture * ground[..., None] + sky * (1.0 - ground[..., None])
+        add_skyline(picture, camera, light, add_skyline_seed)
+        return np.asarray(np.clip(picture, 0.0, 1.0), dtype=np.float32)
+
+    return Background(
+        land * ground[..., None], ground, pavement, distance, shown(sunny), shown(level)
+    )
+
+
+def _ground_points(
+    camera: PinholeCamera,
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """Ground point (H, W, 2), distance (H, W) and footprint (H, W) of every pixel's middle."""
+    width, height = camera.image_size
+    u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    ray = np.stack([u, v, np.ones_like(u)], axis=2) @ np.linalg.inv(camera.matrix[:, :3]).T
+    down = -ray[..., 2]
+    reach = camera.centre_m[2] / np.where(down > 1e-9, down, np.nan)
+    ground = camera.centre_m[:2] + reach[..., None] * ray[..., :2]
+    distance = reach * np.linalg.norm(ray, axis=2)
+    far = ~(distance < HORIZON_M)
+    distance[far] = HORIZON_M
+    ground[far] = 0.0
+    # Along the line of sight a pixel covers distance / height times what it covers across.
+    across = distance / camera.focal_px
+    footprint = across * np.sqrt(np.maximum(distance / camera.centre_m[2], 1.0))
+    return ground.astype(np.float32), distance.astype(np.float32), footprint.astype(np.float32)
+
+
+def _land(
+    noise: GroundNoise, ground_m: NDArray[np.float32], footprint: NDArray[np.float32]
+) -> Picture:
+    patches = noise.sample(ground_m, 38.0, footprint) + 0.6 * noise.sample(ground_m, 9.0, footprint)
+    dry = np.clip(0.35 + 0.28 * patches, 0.0, 1.0)[..., None]
+    colour = np.float32(GRASS) * (1.0 - dry) + np.float32(DRY_GRASS) * dry
+    grain = 0.11 * noise.sample(ground_m, 2.3, footprint)
+    grain += 0.12 * noise.sample(ground_m, 0.7, footprint)
+    grain += 0.14 * noise.sample(ground_m, 0.22, footprint)
+    return np.asarray(colour * np.clip(1.0 + grain, 0.4, 1.7)[..., None], dtype=np.float32)
+
+
+def _asphalt(
+    camera: PinholeCamera,
+    surface: RoadSurface,
+    noise: GroundNoise,
+    ground_m: NDArray[np.float32],
+    footprint: NDArray[np.float32],
+) -> Picture:
+    colour = _tinted(ASPHALT, noise, ground_m, footprint, 0.12, 0.05)
+    patches = 0.035 * noise.sample(ground_m, 14.0, footprint)
+    patches += 0.03 * noise.sample(ground_m, 3.0, footprint)
+    # Wheels polish two tracks per lane; oil drips between them.
+    tracks = sum(coverage(camera, surface.lane_wear(side, 0.65)) for side in (-0.85, 0.85))
+    oil = coverage(camera, surface.lane_wear(0.0, 0.7))
+    wear = 0.05 * cv2.GaussianBlur(np.asarray(tracks, np.float32), (0, 0), 1.2)
+    wear -= 0.07 * cv2.GaussianBlur(oil, (0, 0), 1.2)
+    lanes = coverage(camera, surface.lanes)
+    return np.asarray(colour * (1.0 + patches + wear - 0.04 * lanes)[..., None], dtype=np.float32)
+
+
+def _tinted(
+    colour: Colour,
+    noise: GroundNoise,
+    ground_m: NDArray[np.float32],
+    footprint: NDArray[np.float32],
+    wavelength_m: float,
+    amount: float,
+) -> Picture:
+    grain = 1.0 + amount * noise.sample(ground_m, wavelength_m, footprint)
+    return np.asarray(np.float32(colour) * grain[..., None], dtype=np.float32)
+
+
+def _blend(below: Picture, above: Picture, share: NDArray[np.float32]) -> None:
+    below += (above - below) * share[..., None]
+
+
+def _widened(strip: Strip, by_m: float) -> Strip:
+    return Strip(shifted(strip.left_m, by_m), shifted(strip.right_m, -by_m))
+
+
+def _elevation(camera: PinholeCamera) -> NDArray[np.float32]:
+    """(H, W) sine of each pixel's angle above the horizon."""
+    width, height = camera.image_size
+    u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    ray = np.stack([u, v, np.ones_like(u)], axis=2) @ np.linalg.inv(camera.matrix[:, :3]).T
+    return np.asarray(ray[..., 2] / np.linalg.norm(ray, axis=2), dtype=np.float32)
+
+
+def _sky(camera: PinholeCamera, light: Illumination, noise: GroundNoise) -> Picture:
+    width, height = camera.image_size
+    up = np.clip(_elevation(camera), 0.0, 1.0) / 0.30
+    share = np.clip(up, 0.0, 1.0)[..., None] ** 0.7
+    sky = np.float32(light.horizon) * (1.0 - share) + np.float32(light.zenith) * share
+    clouds = np.clip(0.30 * noise.clouds(width, height, 4.0), 0.0, 0.55)[..., None]
+    white = np.minimum(np.float32(light.horizon) * np.float32(1.06), np.float32(1.0))
+    return np.asarray(sky + (white - sky) * clouds, dtype=np.float32)
+
+
+def _mirror(
+    camera: PinholeCamera,
+    light: Illumination,
+    distance: NDArray[np.float32],
+    pavement: NDArray[np.float32],
+) -> Picture:
+    """The sky in the wet road: Schlick's share of reflected light, water's at normal incidence."""
+    sine = np.clip(camera.centre_m[2] / distance, 0.0, 1.0)
+    share = (0.02 + 0.98 * (1.0 - sine) ** 5) * 0.55 * pavement
+    return np.asarray(np.float32(light.horizon) * share[..., None], dtype=np.float32)

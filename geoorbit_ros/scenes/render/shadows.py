@@ -1,0 +1,91 @@
+"""Shadows of vehicles on the ground: soft, cast by the sun, and the darkness beneath them."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.scenes.camera import PinholeCamera
+from geoorbit_ros.scenes.render.conditions import Illumination
+from geoorbit_ros.scenes.render.painter import Body
+
+COARSE = 2
+"""Pixels per shadow pixel: shadows have soft edges."""
+_SHIFT = 4
+_BENEATH = 0.62
+"""Share of light that is missing beneath a vehicle."""
+_MIRROR = 0.30
+"""Share of the light from a wet road that the mirrored vehicle takes away."""
+
+
+class Shadows:
+    """Darkens the ground about vehicles.
+
+    Args:
+        camera: The camera.
+        light: Where the sun stands.
+        wet: Whether the road mirrors the vehicles.
+    """
+
+    def __init__(self, camera: PinholeCamera, light: Illumination, wet: bool) -> None:
+        width, height = camera.image_size
+        self._camera = camera
+        self._size = -(-width // COARSE), -(-height // COARSE)
+        self._wet = wet
+        sun = np.array(light.sun) * max(light.sun_direction[2], 0.0)
+        shade = np.array(light.ambient)
+        # What is left of each colour in the shadow of the sun, for every density of shadow.
+        missing = sun / np.maximum(shade + sun, 1e-6)
+        density = np.linspace(0.0, 1.0, 256)[:, None]
+        self._left = np.rint(255.0 * (1.0 - missing * density)).astype(np.uint8)[:, None]
+        self._cast = light.sun_direction[:2] / max(light.sun_direction[2], 0.1)
+        self._sunny = bool(missing.max() > 0.15)
+
+    def darken(self, picture: NDArray[np.uint8], bodies: list[Body], sunshine: float) -> None:
+        """Darken the ground in a picture (H, W, 3); `sunshine` 0 to 1: how much the sun is out."""
+        if not bodies:
+            return
+        width, height = self._size
+        beneath = np.zeros((height, width), np.uint8)
+        cast = np.zeros((height, width), np.uint8)
+        for body in bodies:
+            if self._sunny:
+                ground = body.world[:, :2] - body.world[:, 2:] * self._cast
+                self._fill(cast, ground, 0.0, round(255 * sunshine))
+            if self._wet:
+                self._fill(beneath, body.world[:, :2], -body.world[:, 2], round(255 * _MIRROR))
+        for body in bodies:
+            low = body.world[body.world[:, 2] < 0.6]
+            self._fill(beneath, low[:, :2], 0.0, round(255 * _BENEATH))
+        rows = np.flatnonzero((cast | beneath).any(axis=1))
+        if not len(rows):
+            return
+        top, bottom = max(rows[0] - 3, 0), min(rows[-1] + 4, height)
+        cast = cv2.GaussianBlur(cast[top:bottom], (5, 5), 1.1)
+        beneath = cv2.GaussianBlur(beneath[top:bottom], (5, 5), 1.3)
+        left = cv2.LUT(cv2.merge([cast] * 3), self._left.reshape(1, 256, 3))
+        left = cv2.multiply(left, cv2.merge([255 - beneath] * 3), scale=1.0 / 255.0)
+        part = picture[top * COARSE : bottom * COARSE]
+        left = cv2.resize(
+            left, (width * COARSE, (bottom - top) * COARSE), interpolation=cv2.INTER_LINEAR
+        )[: part.shape[0], : part.shape[1]]
+        cv2.multiply(part, left, dst=part, scale=1.0 / 255.0)
+
+    def _fill(
+        self,
+        mask: NDArray[np.uint8],
+        ground_m: NDArray[np.float64],
+        height_m: float | NDArray[np.float64],
+        level: int,
+    ) -> None:
+        """Fill the convex hull of points (N, 2) on, or below, the ground."""
+        points = np.column_stack([ground_m, np.broadcast_to(height_m, len(ground_m))])
+        pixel, depth = self._camera.project(points)
+        if depth.min() <= 1.0:
+            return
+        hull = cv2.convexHull(pixel.astype(np.float32))[:, 0]
+        if np.abs(hull).max() > 20000.0:
+            return
+        corners = np.rint((hull / COARSE - 0.5) * (1 << _SHIFT)).astype(np.int32)
+        cv2.fillConvexPoly(mask, corners, level, cv2.LINE_AA, _SHIFT)
