@@ -31,6 +31,7 @@ __all__ = [
     "decode_string",
     "decode_table",
     "encode_clock",
+    "encode_compressed_image",
     "encode_path",
     "encode_pose_array",
     "encode_string",
@@ -87,6 +88,19 @@ def decode_string(cdr: bytes, place: str) -> str:
         return cdr[8 : 7 + size].decode()
     except (struct.error, UnicodeDecodeError):
         raise MessageError(place, f"{len(cdr)} bytes that break off", "a std_msgs/String") from None
+
+
+def encode_compressed_image(stamp_ns: int, frame_id: str, kind: str, data: bytes) -> bytes:
+    """`sensor_msgs/CompressedImage`, serialised.
+
+    Args:
+        stamp_ns: Capture time.
+        frame_id: Optical frame of the camera.
+        kind: The message's `format`, such as `bgr8; jpeg compressed bgr8`.
+        data: The compressed image.
+    """
+    head = _header(stamp_ns, frame_id) + _text(kind, 4) + struct.pack("<I", len(data))
+    return _CDR_HEAD + head + data
 
 
 def encode_pose_array(

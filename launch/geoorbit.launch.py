@@ -1,5 +1,7 @@
-"""One camera: its lanes, live or from a bag.
+"""One camera: its lanes, live, from a video or from a bag.
 
+    ros2 launch geoorbit_ros geoorbit.launch.py camera_id:=north calibration:=calibration.csv \
+        source:=rtsp://camera.example/stream rviz:=true
     ros2 launch geoorbit_ros geoorbit.launch.py camera_id:=north calibration:=calibration.csv \
         bag:=north_bag rate:=10 rviz:=true
 
@@ -20,28 +22,38 @@ PACKAGE = "geoorbit_ros"
 def generate_launch_description() -> LaunchDescription:
     share = FindPackageShare(PACKAGE)
     camera_id = LaunchConfiguration("camera_id")
+    source = LaunchConfiguration("source")
     bag = LaunchConfiguration("bag")
     rate = LaunchConfiguration("rate")
     calibration = LaunchConfiguration("calibration")
     database = LaunchConfiguration("database")
     params_file = LaunchConfiguration("params_file")
+    from_source = NotEqualsSubstitution(source, "")
     from_bag = NotEqualsSubstitution(bag, "")
     sim_time = {"use_sim_time": ParameterValue(from_bag, value_type=bool)}
 
     arguments = [
         DeclareLaunchArgument("camera_id", description="Namespace of the camera."),
         DeclareLaunchArgument("calibration", description="Control points, a CSV file."),
+        DeclareLaunchArgument("source", default_value="", description="Video, address or images."),
         DeclareLaunchArgument("bag", default_value="", description="Play this; empty: live."),
         DeclareLaunchArgument("rate", default_value="1.0", description="Speed of the bag."),
         DeclareLaunchArgument("database", default_value="", description="Record into this file."),
         DeclareLaunchArgument("rviz", default_value="false", description="Show it in RViz."),
         DeclareLaunchArgument(
             "params_file",
-            default_value=PathJoinSubstitution([share, "params", "camera.yaml"]),
+            default_value=PathJoinSubstitution([share, "params", "one_camera.yaml"]),
             description="Parameters of the nodes.",
         ),
     ]
     nodes = [
+        Node(
+            package=PACKAGE,
+            executable="camera",
+            namespace=camera_id,
+            parameters=[params_file, {"source": source}],
+            condition=IfCondition(from_source),
+        ),
         Node(
             package=PACKAGE,
             executable="homography",

@@ -11,6 +11,7 @@ from rclpy.parameter import Parameter
 
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.nodes.bag_player import BagPlayerNode
+from geoorbit_ros.nodes.camera import CameraNode
 from geoorbit_ros.nodes.composition import Composition
 from geoorbit_ros.nodes.homography import HomographyNode
 from geoorbit_ros.nodes.lane_geometry import LaneGeometryNode, LaneGeometryParameters
@@ -29,7 +30,7 @@ def declare(nodes: Composition, **overrides: object) -> NodeParameters[LaneGeome
 
 
 @pytest.mark.parametrize(
-    "node_class", [BagPlayerNode, HomographyNode, LaneGeometryNode, RecorderNode]
+    "node_class", [BagPlayerNode, CameraNode, HomographyNode, LaneGeometryNode, RecorderNode]
 )
 def test_struct_and_schema_name_the_same_parameters_with_the_same_types(node_class: Any) -> None:
     schema = {spec.name: KINDS[spec.kind] for spec in load_schema(node_class.name)}
@@ -37,7 +38,7 @@ def test_struct_and_schema_name_the_same_parameters_with_the_same_types(node_cla
 
 
 @pytest.mark.parametrize(
-    "node_class", [BagPlayerNode, HomographyNode, LaneGeometryNode, RecorderNode]
+    "node_class", [BagPlayerNode, CameraNode, HomographyNode, LaneGeometryNode, RecorderNode]
 )
 def test_defaults_satisfy_their_own_schema_unless_they_must_be_given(node_class: Any) -> None:
     for spec in load_schema(node_class.name):
@@ -46,7 +47,7 @@ def test_defaults_satisfy_their_own_schema_unless_they_must_be_given(node_class:
 
 
 def test_the_sample_file_holds_known_parameters_within_their_bounds() -> None:
-    content = yaml.safe_load((PARAMS / "camera.yaml").read_text())
+    content = yaml.safe_load((PARAMS / "one_camera.yaml").read_text())
     assert content
     for key, entry in content.items():
         schema = {spec.name: spec for spec in load_schema(key.removeprefix("/**/"))}

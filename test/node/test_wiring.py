@@ -16,6 +16,7 @@ from rclpy.expand_topic_name import expand_topic_name
 from std_srvs.srv import Trigger
 
 from geoorbit_ros.nodes.bag_player import BagPlayerNode
+from geoorbit_ros.nodes.camera import CameraNode
 from geoorbit_ros.nodes.composition import Composition
 from geoorbit_ros.nodes.homography import HomographyNode
 from geoorbit_ros.nodes.lane_geometry import LaneGeometryNode
@@ -23,7 +24,9 @@ from geoorbit_ros.nodes.recorder import RecorderNode
 from geoorbit_ros.parameters import load_schema
 
 ROOT = Path(__file__).parents[2]
-NODES = {n.name: n for n in (BagPlayerNode, HomographyNode, LaneGeometryNode, RecorderNode)}
+NODES = {
+    n.name: n for n in (BagPlayerNode, CameraNode, HomographyNode, LaneGeometryNode, RecorderNode)
+}
 RVIZ_TYPES = {
     "rviz_default_plugins/Path": "nav_msgs/msg/Path",
     "rviz_default_plugins/PoseArray": "geometry_msgs/msg/PoseArray",
@@ -124,6 +127,6 @@ def test_the_layout_and_the_sample_parameters_that_are_launched_exist(
     launched: list[Recorded],
 ) -> None:
     text = (ROOT / "launch" / "geoorbit.launch.py").read_text()
-    for name in ("camera.yaml", "geoorbit.rviz"):
+    for name in ("one_camera.yaml", "geoorbit.rviz"):
         assert name in text
         assert (ROOT / "params" / name).is_file()

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 
 import cv2
 
-_FFMPEG_QUIET = "-8"
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+"""Quiet. OpenCV reads this once, when it first uses FFmpeg."""
 
 
 def open_capture(name: str, settings: Sequence[int] = ()) -> cv2.VideoCapture:
@@ -20,6 +21,5 @@ def open_capture(name: str, settings: Sequence[int] = ()) -> cv2.VideoCapture:
         name: Path or address.
         settings: Pairs of property and value.
     """
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", _FFMPEG_QUIET)
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     return cv2.VideoCapture(name, cv2.CAP_FFMPEG, list(settings))

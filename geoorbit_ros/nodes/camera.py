@@ -1,0 +1,147 @@
+"""Node `camera`: a video, a network camera, images in a folder or a scene become a topic."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from sensor_msgs.msg import CompressedImage
+
+from geoorbit_ros.nodes.base import GeoOrbitNode
+from geoorbit_ros.nodes.image_sender import ImageSender
+from geoorbit_ros.nodes.process import run_node
+from geoorbit_ros.nodes.table_stream import stream_qos
+from geoorbit_ros.scenes.frame_source import SCENES
+from geoorbit_ros.storage.frames.feed import FrameFeed
+from geoorbit_ros.storage.frames.open_source import open_frame_source
+from geoorbit_ros.storage.frames.source import FrameSourceError, SourceOptions
+
+WATCH_S = 0.1
+SILENT_S = 3.0
+"""A camera without a frame for this long is reported on /diagnostics."""
+ACKNOWLEDGE_TIMEOUT = Duration(seconds=5)
+
+
+@dataclass(frozen=True, slots=True)
+class CameraParameters:
+    """See params/camera.yaml."""
+
+    source: str
+    fps: float
+    start_time_s: float
+    rate: float
+    loop: bool
+    max_fps: float
+    jpeg_quality: int
+    frame_id: str
+    open_timeout_s: float
+    stall_timeout_s: float
+    buffer_frames: int
+    reliability: str
+    queue_depth: int
+    wait_for_subscribers: int
+    wait_timeout_s: float
+    exit_when_done: bool
+
+
+class CameraNode(GeoOrbitNode[CameraParameters]):
+    """Publishes `image/compressed`.
+
+    One thread reads the source, another one encodes and publishes, so that neither a slow reader
+    nor a busy executor holds up the camera. A stream that is lost is opened again, for ever.
+
+    Attributes:
+        finished: Whether a recording has been published to its end.
+
+    Raises:
+        GeoOrbitError: A parameter or a recording can't be used.
+    """
+
+    name = "camera"
+    struct = CameraParameters
+
+    def setup(self) -> None:
+        """Open the source and make the topic."""
+        p = self.p
+        self.finished = self._started = False
+        options = SourceOptions(
+            fps=p.fps or None,
+            start_ns=round(1e9 * p.start_time_s),
+            open_timeout_s=p.open_timeout_s,
+            stall_timeout_s=p.stall_timeout_s,
+            give_up_s=None,
+            clock_ns=lambda: int(self.get_clock().now().nanoseconds),
+            report=self.get_logger().info,
+            on_bad_frame=self.diagnostics.refuse,
+        )
+        self._source = open_frame_source(p.source, options, SCENES)
+        self._feed = FrameFeed(
+            self._source, rate=p.rate, loop=p.loop, max_fps=p.max_fps, depth=p.buffer_frames
+        )
+        qos = stream_qos(p.reliability, p.queue_depth)
+        self.images = self.create_publisher(CompressedImage, "image/compressed", qos)
+        frame_id = p.frame_id or f"{self.camera_id or 'camera'}_optical_frame"
+        self._sender = ImageSender(self, self.images, self._feed, frame_id)
+        self._deadline_s = time.monotonic() + (0.0 if self._source.live else p.wait_timeout_s)
+        self.diagnostics.add_check(self._silent)
+        self.create_timer(WATCH_S, self._watch, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def on_parameters(self, changed: CameraParameters) -> None:
+        """A new limit of the frame rate holds from the next frame on."""
+        self._feed.thinning.max_fps = changed.max_fps
+
+    def diagnostic_values(self) -> Mapping[str, object]:
+        """What became of the frames."""
+        return {
+            "source": self._source.name,
+            "captured": self._feed.captured,
+            "dropped": self._feed.dropped,
+            "left_out": self._feed.thinning.left_out,
+            "reconnects": self._source.reconnects,
+            "subscribers": self.images.get_subscription_count(),
+        }
+
+    def close(self) -> None:
+        """End both threads; one that is inside a system call ends with it."""
+        self._feed.stop()
+        self._sender.stop()
+        if self.finished and not self.images.wait_for_all_acked(ACKNOWLEDGE_TIMEOUT):
+            self.get_logger().warning("the last images were not acknowledged within 5 s")
+
+    def _silent(self) -> str | None:
+        silent_s = self._sender.silent_s
+        if self.finished or silent_s < SILENT_S:
+            return None
+        return f"{self._source.name}: no frame for {silent_s:.0f} s"
+
+    def _watch(self) -> None:
+        if not self._started:
+            lonely = self.images.get_subscription_count() < self.p.wait_for_subscribers
+            if lonely and time.monotonic() < self._deadline_s:
+                return
+            if lonely and not self._source.live:
+                self.get_logger().warning(f"{self.images.topic}: starting without subscribers")
+            self._started = True
+            self._feed.start()
+            self._sender.start()
+        elif not self.finished and self._sender.ended:
+            error = self._feed.error or self._sender.error
+            if isinstance(error, FrameSourceError):
+                self.diagnostics.refuse(error)
+            elif error is not None:
+                raise error
+            self.get_logger().info(f"{self._source.name}: end of the recording")
+            self.finished, self.done = True, self.p.exit_when_done
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node in this process."""
+    return run_node(CameraNode, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
