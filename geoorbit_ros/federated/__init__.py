@@ -1,0 +1,1 @@
+"""Federated learning: wire format, strategies, client and server as plain state machines."""

@@ -1,0 +1,278 @@
+"""The federated client as a plain state machine over bytes."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.federated.client_state import ClientState, read_client_state, write_client_state
+from geoorbit_ros.federated.client_update import ClientUpdate
+from geoorbit_ros.federated.encodings.encoding import Encoding
+from geoorbit_ros.federated.encodings.error_feedback import ErrorFeedback
+from geoorbit_ros.federated.encodings.factory import decode_vector
+from geoorbit_ros.federated.encodings.floats import Float32
+from geoorbit_ros.federated.envelope import schema_of
+from geoorbit_ros.federated.errors import PayloadError, Refusal
+from geoorbit_ros.federated.global_model import ASYNCHRONOUS, FINAL, GlobalModel
+from geoorbit_ros.federated.keys import Signer, Verifier, client_id
+from geoorbit_ros.federated.layout import Tensors, Vector
+from geoorbit_ros.federated.model_delta import SCHEMA as DELTA
+from geoorbit_ros.federated.model_delta import ModelDelta
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingOrder:
+    """What local training is given beside the tensors.
+
+    Attributes:
+        round: The round, also to seed whatever is random: the same round gives the same update.
+        proximal_mu: FedProx's penalty weight, see `strategies.fedprox.proximal_gradient`; 0: none.
+    """
+
+    round: int
+    proximal_mu: float
+
+
+@dataclass(frozen=True, slots=True)
+class LocalResult:
+    """What local training gives back.
+
+    Attributes:
+        delta: New minus old value of every tensor.
+        sample_count: Examples behind it.
+        loss: Composite loss of the model as it came, before training.
+    """
+
+    delta: Mapping[str, NDArray[np.float32]]
+    sample_count: int
+    loss: float
+
+
+Train = Callable[[Tensors, TrainingOrder], LocalResult]
+"""Local training; it may take as long as it likes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """What a client has to do about an announcement.
+
+    Attributes:
+        round: The round.
+        model: Digest of the model to start from.
+        tensors: That model.
+        order: For local training.
+        ready: The update, when it was already made: it only has to be sent again.
+    """
+
+    round: int
+    model: int
+    tensors: Tensors
+    order: TrainingOrder
+    ready: bytes = b""
+
+
+class FederatedClient:
+    """Follows the global model and answers the rounds it is selected for.
+
+    Usage::
+
+        client = FederatedClient("north", train)
+        update = client.answer(payload)        # train if asked to; bytes to send, or None
+
+    or, where training must not block::
+
+        work = client.receive(payload)         # None: nothing to do
+        result = train(work.tensors, work.order)  # elsewhere, unless work.ready
+        update = client.finish(work, result)   # bytes to send
+
+    Args:
+        camera_id: Its name on the roster.
+        train: Local training, for `answer`; None when it is done outside.
+        federation: Name of the federation.
+        encoding: How updates are encoded, with error feedback; default: float32.
+        signer: Signs updates; default: unsigned.
+        server_key: Public key of the server; None takes unsigned models.
+        interface: `global_model.interface_digest` of this camera's model; 0: not checked.
+        state_path: File to resume from and to write before each update is sent; default: none.
+
+    Attributes:
+        id: Its number in payloads.
+        refused: Payloads refused since the start, by reason.
+
+    Raises:
+        FederationError: A state file that is none.
+    """
+
+    def __init__(
+        self,
+        camera_id: str,
+        train: Train | None = None,
+        *,
+        federation: str = "geoorbit",
+        encoding: Encoding | None = None,
+        signer: Signer | None = None,
+        server_key: bytes | None = None,
+        interface: int = 0,
+        state_path: Path | None = None,
+    ) -> None:
+        self.camera_id, self._train = camera_id, train
+        self._signer = signer or Signer(None, federation)
+        self.id = client_id(camera_id, self._signer.public)
+        self._verifier = Verifier(server_key, federation)
+        self._encoding = encoding or Float32()
+        self._interface, self._path = interface, state_path
+        self._state = read_client_state(state_path) if state_path else None
+        self.finished = self._asynchronous = False
+        self.refused: Counter[Refusal] = Counter()
+
+    @property
+    def tensors(self) -> Tensors | None:
+        """The global model as last received; None before the first."""
+        return self._state.layout.unflatten(self._state.model) if self._state else None
+
+    @property
+    def model_of(self) -> tuple[int, int, int]:
+        """Run, round and digest of the global model; zeros before the first."""
+        state = self._state
+        return (state.run, state.round, state.digest) if state else (0, 0, 0)
+
+    @property
+    def answered(self) -> int:
+        """Round of the last update made; 0: none."""
+        return self._state.answered if self._state else 0
+
+    def receive(self, payload: bytes) -> Work | None:
+        """Take a `GlobalModel` or `ModelDelta`.
+
+        Returns:
+            What to do: train, or send an update again. None when not selected, or when training is
+            over.
+
+        Raises:
+            PayloadError: It was refused; the client goes on as if it had never come.
+        """
+        try:
+            if schema_of(payload) == DELTA:
+                clients, flags = self._take_delta(payload)
+            else:
+                clients, flags = self._take_whole(payload)
+        except PayloadError as error:
+            self.refused[error.reason] += 1
+            raise
+        state = self._state
+        assert state is not None
+        self.finished, self._asynchronous = bool(flags & FINAL), bool(flags & ASYNCHRONOUS)
+        if self.finished or (clients and self.id not in clients):
+            return None
+        ready = b""
+        if state.answered == state.round and state.answered_model == state.digest:
+            ready = state.update
+        order = TrainingOrder(state.round, state.proximal_mu)
+        tensors = state.layout.unflatten(state.model)
+        return Work(state.round, state.digest, tensors, order, ready)
+
+    def finish(self, work: Work, result: LocalResult) -> bytes | None:
+        """Turn what was learned into an update; it is kept on disk before it is returned.
+
+        Returns:
+            The update to send; None when it would be refused: nothing was learned, or the round is
+            over by now and the server is not asynchronous.
+
+        Raises:
+            FederationError: Tensors of another layout.
+        """
+        if work.ready:
+            return work.ready
+        state = self._state
+        late = state is not None and state.round != work.round and not self._asynchronous
+        if state is None or late or state.answered >= work.round or not _usable(result):
+            return None
+        feedback = ErrorFeedback(self._encoding, state.layout.size)
+        feedback.residual = state.residual
+        data = feedback.encode(state.layout.flatten(result.delta))
+        update = ClientUpdate(
+            self._encoding.code,
+            work.round,
+            work.model,
+            self.id,
+            result.sample_count,
+            result.loss,
+            data,
+        )
+        state.residual = feedback.residual
+        state.update = self._signer.seal(update.unsigned())
+        state.answered, state.answered_model = work.round, work.model
+        if self._path:
+            write_client_state(self._path, state)
+        return state.update
+
+    def answer(self, payload: bytes) -> bytes | None:
+        """`receive`, train, `finish` in one go: an update to send, or None.
+
+        Raises:
+            PayloadError: As `receive`.
+        """
+        work = self.receive(payload)
+        if work is None:
+            return None
+        if work.ready or self._train is None:
+            return work.ready or None
+        return self.finish(work, self._train(work.tensors, work.order))
+
+    def _take_whole(self, payload: bytes) -> tuple[tuple[int, ...], int]:
+        model = GlobalModel.decode(payload)
+        state = self._state
+        known = (state.run, state.round) if state else (0, 0)
+        if (model.run, model.round) < known:
+            found = f"run {model.run}, round {model.round}"
+            raise PayloadError(Refusal.OLD_ROUND, "model", found, f"run, round {known} or later")
+        self._verifier.check(payload, "model")
+        if self._interface and model.interface != self._interface:
+            found, expected = f"interface {model.interface:08x}", f"{self._interface:08x}"
+            raise PayloadError(Refusal.SHAPE, "model", found, expected)
+        vector = decode_vector(model.encoding, model.data, model.layout.size)
+        self._check_digest(model.layout.digest(vector, model.run), model.model)
+        if state is None or state.run != model.run or state.layout != model.layout:
+            nothing = np.zeros(model.layout.size, np.float32)
+            state = ClientState(model.layout, model.run, 0, vector, 0, 0.0, nothing)
+        state.round, state.model, state.digest = model.round, np.array(vector), model.model
+        state.proximal_mu = model.proximal_mu
+        self._state = state
+        return model.clients, model.flags
+
+    def _take_delta(self, payload: bytes) -> tuple[tuple[int, ...], int]:
+        delta = ModelDelta.decode(payload)
+        state = self._state
+        if state is None:
+            expected = "a whole model first"
+            raise PayloadError(Refusal.OTHER_MODEL, DELTA, f"round {delta.round}", expected)
+        if delta.round <= state.round:
+            found = f"round {delta.round}"
+            raise PayloadError(Refusal.OLD_ROUND, DELTA, found, f"round {state.round + 1}")
+        if delta.base != state.digest:
+            found, expected = f"a change of model {delta.base:08x}", f"of {state.digest:08x}"
+            raise PayloadError(Refusal.OTHER_MODEL, DELTA, found, expected)
+        self._verifier.check(payload, DELTA)
+        step = decode_vector(delta.encoding, delta.data, state.layout.size)
+        vector: Vector = state.model + step
+        self._check_digest(state.layout.digest(vector, state.run), delta.model)
+        state.round, state.model, state.digest = delta.round, vector, delta.model
+        return delta.clients, delta.flags
+
+    @staticmethod
+    def _check_digest(found: int, expected: int) -> None:
+        if found != expected:
+            text = f"a model of digest {found:08x}"
+            raise PayloadError(Refusal.OTHER_MODEL, "model", text, f"{expected:08x} as it says")
+
+
+def _usable(result: LocalResult) -> bool:
+    """Nothing learned, or nothing finite, is nothing to send."""
+    arrays = result.delta.values()
+    finite = all(bool(np.isfinite(a).all()) for a in arrays) and np.isfinite(result.loss)
+    return bool(finite) and result.sample_count > 0

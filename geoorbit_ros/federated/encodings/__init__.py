@@ -1,0 +1,1 @@
+"""How a vector of weights becomes bytes: one encoding per file."""

@@ -1,0 +1,53 @@
+"""The protocol of encodings, and the check that all of them share."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from geoorbit_ros.federated.errors import PayloadError, Refusal
+from geoorbit_ros.federated.layout import Vector
+
+
+class Encoding(Protocol):
+    """Turns a vector of weights into bytes and back, deterministically."""
+
+    @property
+    def code(self) -> int:
+        """Its number in the payloads' field `encoding`."""
+
+    def encode(self, vector: Vector) -> bytes:
+        """Bytes of a finite vector of shape (size,)."""
+
+    def decode(self, data: bytes, size: int) -> Vector:
+        """The vector of shape (size,) that `encode` made these bytes from, or nearly.
+
+        Raises:
+            PayloadError: SHAPE, ENCODING or NOT_FINITE.
+        """
+
+
+def check_length(data: bytes, expected: int, what: str) -> None:
+    """Refuse data that is not exactly as long as a vector of the model needs.
+
+    Raises:
+        PayloadError: SHAPE.
+    """
+    if len(data) != expected:
+        raise PayloadError(Refusal.SHAPE, f"{what} data", f"{len(data)} bytes", f"{expected}")
+
+
+def check_finite(vector: Vector, what: str) -> Vector:
+    """Hand on a vector without infinities and NaN.
+
+    Raises:
+        PayloadError: NOT_FINITE.
+    """
+    # The sum of squares in float64 is finite exactly when all float32 summands are: one pass.
+    wide = vector.astype(np.float64)
+    if not np.isfinite(wide @ wide):
+        bad = int(np.count_nonzero(~np.isfinite(vector)))
+        found = f"{bad} values that are infinite or not a number"
+        raise PayloadError(Refusal.NOT_FINITE, f"{what} data", found, "finite numbers")
+    return vector

@@ -1,0 +1,89 @@
+"""A whole federation in one process, through the real state machines and the real wire format."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+
+from geoorbit_ros.federated.client import FederatedClient, LocalResult, Work
+from geoorbit_ros.federated.errors import FederationError, PayloadError
+from geoorbit_ros.federated.server import FederatedServer
+from geoorbit_ros.federated.traffic import Traffic
+
+TrainMany = Callable[[Sequence[tuple[FederatedClient, Work]]], Iterable[LocalResult]]
+"""Trains several clients, perhaps in parallel; results in the same order."""
+
+
+def run_in_process(
+    server: FederatedServer,
+    clients: Sequence[FederatedClient],
+    train_many: TrainMany,
+    on_round: Callable[[FederatedServer, Traffic], None] | None = None,
+) -> Traffic:
+    """Run all rounds that are left.
+
+    Args:
+        server: Fresh, or resumed from its checkpoint.
+        clients: Everybody on the roster that is there.
+        train_many: Local training of all clients of a round.
+        on_round: Called after each round.
+
+    Returns:
+        What crossed the wire.
+
+    Raises:
+        FederationError: A round that no client can complete.
+        PayloadError: A payload that was refused, which among honest parties none is.
+    """
+    traffic, now_s = Traffic(), 0.0
+    payloads = [server.start(now_s)]
+    for _ in range(_most_announcements(server)):
+        for payload in payloads:
+            traffic.down(payload, len(clients))
+        number = server.round
+        asked = [(c, w) for c in clients if (w := _receive(c, server, payloads)) is not None]
+        payloads = _answer(server, asked, train_many, traffic, now_s)
+        if on_round and server.round > number:
+            on_round(server, traffic)
+        if not payloads and not server.finished:
+            now_s += server.config.deadline_s  # simulated time: silence costs nothing here
+            payloads = [again] if (again := server.tick(now_s)) else []
+        if not payloads:
+            break
+    if not server.finished:
+        raise FederationError("federation", f"no end after round {server.round}", "clients enough")
+    return traffic
+
+
+def _most_announcements(server: FederatedServer) -> int:
+    """A bound: every round, each opened to all once, and the last model."""
+    return 2 * (server.config.rounds + 1) + 2
+
+
+def _receive(
+    client: FederatedClient, server: FederatedServer, payloads: Sequence[bytes]
+) -> Work | None:
+    """Hand a client what was announced; one that has just joined gets what is latched."""
+    work = None
+    for payload in payloads if client.tensors is not None else server.latched:
+        work = client.receive(payload)
+    return work
+
+
+def _answer(
+    server: FederatedServer,
+    asked: Sequence[tuple[FederatedClient, Work]],
+    train_many: TrainMany,
+    traffic: Traffic,
+    now_s: float,
+) -> list[bytes]:
+    """Train everybody who is asked, hand in the updates; what the server announces then."""
+    results = iter(train_many([(client, work) for client, work in asked if not work.ready]))
+    announced = []
+    for client, work in asked:
+        update = work.ready or client.finish(work, next(results))
+        # An asynchronous server may make several models of one batch of updates.
+        if update and not server.finished:
+            traffic.up(update)
+            following = server.receive(update, now_s)
+            announced += [following] if following else []
+    return announced

@@ -1,0 +1,95 @@
+"""Which clients a round is for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Protocol
+
+import numpy as np
+
+from geoorbit_ros.federated.errors import FederationError
+
+SELECTIONS = ("random", "round_robin", "importance")
+
+
+class Selection(Protocol):
+    """Chooses clients; the same arguments give the same choice, also after a restart."""
+
+    def choose(
+        self, clients: Sequence[int], number: int, round_number: int, utility: Mapping[int, float]
+    ) -> tuple[int, ...]:
+        """Choose clients for a round.
+
+        Args:
+            clients: All members, ascending.
+            number: How many to choose, at most `len(clients)`.
+            round_number: The round, from 1.
+            utility: What is known of a client's last update: its loss times the root of its number
+                of examples. Clients that never sent one are absent.
+
+        Returns:
+            Chosen clients, ascending.
+        """
+
+
+class RandomSelection:
+    """Every client with the same probability (McMahan et al. 2017)."""
+
+    def __init__(self, seed: int) -> None:
+        self._seed = seed
+
+    def choose(
+        self, clients: Sequence[int], number: int, round_number: int, utility: Mapping[int, float]
+    ) -> tuple[int, ...]:
+        """See `Selection.choose`."""
+        generator = np.random.default_rng([self._seed, round_number])
+        return tuple(sorted(generator.choice(clients, number, replace=False).tolist()))
+
+
+class RoundRobinSelection:
+    """One after the other; nobody waits longer than everybody else's turn."""
+
+    def choose(
+        self, clients: Sequence[int], number: int, round_number: int, utility: Mapping[int, float]
+    ) -> tuple[int, ...]:
+        """See `Selection.choose`."""
+        start = (round_number - 1) * number
+        return tuple(sorted(clients[(start + k) % len(clients)] for k in range(number)))
+
+
+class ImportanceSelection:
+    """Those from whom most is to be learned come more often.
+
+    Probabilities follow the statistical utility of Lai et al., "Oort", OSDI 2021, section 4.2: the
+    loss times the root of the number of examples. A client of which nothing is known counts as the
+    most useful one, and nobody's probability falls under a tenth of that, for losses change.
+    """
+
+    def __init__(self, seed: int) -> None:
+        self._seed = seed
+
+    def choose(
+        self, clients: Sequence[int], number: int, round_number: int, utility: Mapping[int, float]
+    ) -> tuple[int, ...]:
+        """See `Selection.choose`."""
+        highest = max(utility.values(), default=0.0) or 1.0
+        value = np.array([utility.get(client, highest) for client in clients])
+        value = np.maximum(value, 0.1 * highest)
+        generator = np.random.default_rng([self._seed, round_number])
+        chosen = generator.choice(clients, number, replace=False, p=value / value.sum())
+        return tuple(sorted(chosen.tolist()))
+
+
+def make_selection(name: str, seed: int) -> Selection:
+    """A selection by name.
+
+    Raises:
+        FederationError: No selection has this name.
+    """
+    if name == "random":
+        return RandomSelection(seed)
+    if name == "round_robin":
+        return RoundRobinSelection()
+    if name == "importance":
+        return ImportanceSelection(seed)
+    raise FederationError("selection", repr(name), " or ".join(SELECTIONS))

@@ -1,0 +1,160 @@
+"""What a server must not forget, and its checkpoint: one file, replaced as a whole."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import zipfile
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.core.errors import InputFileError
+from geoorbit_ros.federated.errors import FederationError
+from geoorbit_ros.federated.layout import ModelLayout, Vector
+from geoorbit_ros.storage.atomic import atomic_output
+
+FORMAT = 1
+
+
+@dataclass(frozen=True, slots=True)
+class RoundRecord:
+    """What came of a round.
+
+    Attributes:
+        round: Its number, from 1.
+        updates: Updates behind its result.
+        loss: Mean loss that they report, weighted as the updates are.
+        seconds: From its announcement to its end; not a number when the server was restarted
+            meanwhile.
+    """
+
+    round: int
+    updates: int
+    loss: float
+    seconds: float
+
+
+@dataclass(slots=True)
+class ServerState:
+    """All that the next round depends on.
+
+    Attributes:
+        run: When the federation began.
+        round: The open round; one more than the last when training is over.
+        finished: Whether training is over.
+        model: The model as the server has it, shape (size,).
+        published: The model as the clients have it: they differ by what encodings lose.
+        optimiser: State of the strategy.
+        utility: Usefulness of each client's last update (`Selection.choose`).
+        answered: Last round that each client's update was taken for.
+        digests: Digest of each model that an update may still name, by round.
+        history: Records of all rounds so far.
+        secret: 32 bytes for noise that nobody may foresee.
+    """
+
+    run: int
+    model: Vector
+    published: Vector
+    round: int = 1
+    finished: bool = False
+    optimiser: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    utility: dict[int, float] = field(default_factory=dict)
+    answered: dict[int, int] = field(default_factory=dict)
+    digests: dict[int, int] = field(default_factory=dict)
+    history: list[RoundRecord] = field(default_factory=list)
+    secret: bytes = field(default_factory=lambda: os.urandom(32))
+
+
+def write_checkpoint(path: Path, layout: ModelLayout, state: ServerState) -> None:
+    """Replace the checkpoint: after a crash or power loss it is the old one or the new one.
+
+    Raises:
+        InputFileError: It can't be written.
+    """
+    facts = {
+        "format": FORMAT,
+        "names": layout.names,
+        "shapes": layout.shapes,
+        "run": state.run,
+        "round": state.round,
+        "finished": state.finished,
+        "history": [list(asdict(record).values()) for record in state.history],
+        "secret": state.secret.hex(),
+    }
+    arrays: dict[str, NDArray[np.generic]] = {
+        f"optimiser_{name}": value for name, value in state.optimiser.items()
+    }
+    arrays |= {
+        "model": state.model,
+        "published": state.published,
+        "utility": _columns(state.utility),
+        "answered": _columns(state.answered),
+        "digests": _columns(state.digests),
+        "facts": np.frombuffer(json.dumps(facts).encode(), np.uint8),
+    }
+    buffer = io.BytesIO()
+    np.savez(buffer, allow_pickle=False, **arrays)
+    with atomic_output(path) as temporary:
+        temporary.touch(mode=0o600)
+        temporary.write_bytes(buffer.getvalue())
+    folder = os.open(path.absolute().parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)  # the new name itself: power loss, not kill
+    finally:
+        os.close(folder)
+
+
+def read_checkpoint(path: Path, layout: ModelLayout) -> ServerState | None:
+    """The state in a checkpoint; None when there is none.
+
+    Raises:
+        FederationError: A file that is no checkpoint, or one of another model.
+    """
+    if not path.exists():
+        return None
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        facts = json.loads(arrays.pop("facts").tobytes())
+        found = ModelLayout(tuple(facts["names"]), tuple(map(tuple, facts["shapes"])))
+        state = _state(facts, arrays)
+    except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile, InputFileError) as error:
+        raise FederationError(str(path), error, "a checkpoint of federated_server") from None
+    if found != layout:
+        raise FederationError(str(path), found.describe(), layout.describe())
+    return state
+
+
+def _state(
+    facts: Mapping[str, object] | dict[str, object], arrays: dict[str, NDArray[np.float64]]
+) -> ServerState:
+    prefix = "optimiser_"
+    history = facts["history"]
+    assert isinstance(history, list)
+    return ServerState(
+        run=int(str(facts["run"])),
+        model=arrays["model"].astype(np.float32),
+        published=arrays["published"].astype(np.float32),
+        round=int(str(facts["round"])),
+        finished=bool(facts["finished"]),
+        optimiser={k[len(prefix) :]: v for k, v in arrays.items() if k.startswith(prefix)},
+        utility=dict(zip(*_rows(arrays["utility"]), strict=True)),
+        answered={k: int(v) for k, v in zip(*_rows(arrays["answered"]), strict=True)},
+        digests={k: int(v) for k, v in zip(*_rows(arrays["digests"]), strict=True)},
+        history=[RoundRecord(*row) for row in history],
+        secret=bytes.fromhex(str(facts["secret"])),
+    )
+
+
+def _columns(table: Mapping[int, float]) -> NDArray[np.float64]:
+    """Two rows: keys and values, both exact in float64 below 2^53."""
+    return np.array([list(table), list(table.values())], np.float64)
+
+
+def _rows(table: NDArray[np.float64]) -> tuple[list[int], list[float]]:
+    return table[0].astype(np.int64).tolist(), table[1].tolist()

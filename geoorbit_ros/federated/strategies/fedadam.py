@@ -1,0 +1,52 @@
+"""FedAdam: the mean update is the gradient of an Adam step on the server.
+
+Reddi et al., "Adaptive federated optimization", ICLR 2021, algorithm 2:
+m ← β₁m + (1-β₁)Δ, v ← β₂v + (1-β₂)Δ², w ← w + η m / (√v + τ).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.federated.strategies.collection import Aggregate
+from geoorbit_ros.federated.strategies.strategy import State, Strategy, check_range
+
+
+class FedAdam(Strategy):
+    """Learning rate η, decays β₁ and β₂, and τ, which bounds how adaptive it is.
+
+    Raises:
+        FederationError: A setting out of range.
+    """
+
+    def __init__(
+        self,
+        learning_rate: float = 0.03,
+        beta_1: float = 0.9,
+        beta_2: float = 0.99,
+        tau: float = 1e-3,
+    ) -> None:
+        self.learning_rate = check_range("learning_rate", learning_rate, 1e-6, 100.0)
+        self.beta_1 = check_range("beta_1", beta_1, 0.0, 0.999)
+        self.beta_2 = check_range("beta_2", beta_2, 0.0, 0.99999)
+        self.tau = check_range("tau", tau, 1e-9, 1.0)
+        self._moments: NDArray[np.float64] | None = None
+
+    def step(self, aggregate: Aggregate) -> Aggregate:
+        """See `Strategy.step`."""
+        before = np.zeros((2, len(aggregate))) if self._moments is None else self._moments
+        first = self.beta_1 * before[0] + (1 - self.beta_1) * aggregate
+        second = self.beta_2 * before[1] + (1 - self.beta_2) * aggregate**2
+        self._moments = np.stack([first, second])
+        return np.asarray(self.learning_rate * first / (np.sqrt(second) + self.tau))
+
+    def state(self) -> State:
+        """See `Strategy.state`."""
+        return {} if self._moments is None else {"moments": self._moments}
+
+    def restore(self, state: Mapping[str, NDArray[np.float64]]) -> None:
+        """See `Strategy.restore`."""
+        self._moments = state.get("moments")
