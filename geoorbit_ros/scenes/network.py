@@ -11,6 +11,7 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.scenes.roads import PlacedRoad, successors
 
@@ -39,8 +40,13 @@ def netconvert_path() -> str:
     return str(program)
 
 
-def write_network(placed: dict[str, PlacedRoad], folder: Path) -> Path:
+def write_network(placed: dict[str, PlacedRoad], folder: Path, datum: Datum | None = None) -> Path:
     """Write plain XML, run netconvert, return the path of `net.xml`.
+
+    Args:
+        placed: The roads, in the map frame.
+        folder: Where the files go.
+        datum: Origin of the map frame; with it the network says where on earth it lies.
 
     Raises:
         NetworkError: netconvert is not there, refuses the roads or does not end.
@@ -97,6 +103,10 @@ def write_network(placed: dict[str, PlacedRoad], folder: Path) -> Path:
         raise NetworkError("netconvert", f"no end after {TIME_LIMIT_S} s", "a network") from error
     if done.returncode != 0 or not net.exists():
         raise NetworkError("netconvert", last_line(done.stderr), "a network")
+    if datum is not None:
+        text = net.read_text(encoding="utf-8")
+        place = f'projParameter="{datum.proj_string}"'
+        net.write_text(text.replace('projParameter="!"', place, 1), encoding="utf-8")
     return net
 
 

@@ -1,0 +1,1 @@
+"""The digital twin: SUMO networks, reference lanes, and vehicles that move as the tracks say."""

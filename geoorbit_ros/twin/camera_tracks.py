@@ -1,0 +1,139 @@
+"""One camera's tracks at any time: frames in, a table interpolated to the simulation's step out."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.core.tables import FLAG_PREDICTED
+from geoorbit_ros.twin.plane import ConformalMap
+
+OBSERVATION_DTYPE = np.dtype(
+    [
+        ("stamp_ns", "<i8"),
+        ("track_id", "<i8"),
+        ("xy", "<f8", 2),
+        ("velocity", "<f8", 2),
+        ("heading", "<f8"),
+        ("length", "<f8"),
+        ("width", "<f8"),
+        ("sigma", "<f8"),
+        ("class_id", "<i4"),
+        ("predicted", "?"),
+    ]
+)
+"""A track at one time, in the twin's map frame; `heading` is NaN while it is not known."""
+
+MAX_LAG_S = 0.5
+"""A camera that is behind the others by more is not extrapolated."""
+_FIT_RANGE_M = 2000.0
+
+
+class CameraTracks:
+    """Frames of one camera that are still needed.
+
+    Args:
+        name: The camera.
+        hold_s: How long a track may be missing and go on.
+        datum: Origin of the twin's map frame.
+    """
+
+    def __init__(self, name: str, hold_s: float, datum: Datum) -> None:
+        self.name = name
+        self._hold_ns = round(hold_s * 1e9)
+        self._datum = datum
+        self._plane: ConformalMap | None = None
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all frames: the source starts again."""
+        self._frames: deque[tuple[int, NDArray[np.void]]] = deque()
+        self._last = np.empty(0, OBSERVATION_DTYPE)
+        self._last_ns: int | None = None
+        self.newest_ns: int | None = None
+
+    def set_datum(self, datum: Datum) -> None:
+        """Where the camera's own map frame lies; without it, where the twin's does."""
+        if datum == self._datum:
+            self._plane = None
+            return
+        side = np.linspace(-_FIT_RANGE_M, _FIT_RANGE_M, 9)
+        grid = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+        self._plane = ConformalMap(grid, self._datum.to_local(*datum.to_geodetic(grid).T))
+
+    def add(self, stamp_ns: int, rows: NDArray[np.void]) -> None:
+        """Take a frame of `TRACK_DTYPE` rows, later than the one before; rows not finite go."""
+        table = np.empty(len(rows), OBSERVATION_DTYPE)
+        table["stamp_ns"] = stamp_ns
+        for k, (place, speed) in enumerate((("x", "vx"), ("y", "vy"))):
+            table["xy"][:, k], table["velocity"][:, k] = rows[place], rows[speed]
+        for name in ("track_id", "heading", "length", "width", "sigma", "class_id"):
+            table[name] = rows[name]
+        table["predicted"] = (rows["flags"] & FLAG_PREDICTED) != 0
+        table = table[np.isfinite(table["xy"]).all(axis=1)]
+        np.nan_to_num(table["velocity"], copy=False)
+        np.nan_to_num(table["sigma"], copy=False, nan=10.0)
+        if self._plane is not None:
+            turn = self._plane.turn_rad(table["xy"])
+            table["xy"] = self._plane.points(table["xy"])
+            table["heading"] += turn
+            table["velocity"] = _turned(table["velocity"], turn)
+        self._frames.append((stamp_ns, table))
+        self.newest_ns = stamp_ns
+
+    def at(self, time_ns: int) -> NDArray[np.void]:
+        """Tracks at a time that is not earlier than the last one asked for.
+
+        A track is there from its first frame to its last: between two frames, also with frames
+        missing between them, it is interpolated. Where no later frame is known yet because the
+        camera is behind, tracks go on with their velocity, as predicted ones.
+        """
+        while self._frames and self._frames[0][0] <= time_ns:
+            self._pass(*self._frames.popleft())
+        last = self._last
+        if self._last_ns == time_ns:
+            return last[last["stamp_ns"] == time_ns]
+        if self._frames:
+            return _between(last, self._frames[0][1], time_ns)
+        fresh = last[last["stamp_ns"] == (self._last_ns or 0)].copy()
+        ahead_s = (time_ns - fresh["stamp_ns"]) * 1e-9
+        fresh = fresh[ahead_s <= MAX_LAG_S]
+        fresh["xy"] += fresh["velocity"] * (time_ns - fresh["stamp_ns"])[:, None] * 1e-9
+        fresh["predicted"] = True
+        return fresh
+
+    def _pass(self, stamp_ns: int, table: NDArray[np.void]) -> None:
+        """A frame is now in the past."""
+        old = self._last
+        kept = ~np.isin(old["track_id"], table["track_id"])
+        kept &= old["stamp_ns"] >= stamp_ns - self._hold_ns
+        self._last = np.concatenate([old[kept], table])
+        self._last_ns = stamp_ns
+
+
+def _between(before: NDArray[np.void], after: NDArray[np.void], time_ns: int) -> NDArray[np.void]:
+    """Tracks in both tables, linearly between them."""
+    _, a, b = np.intersect1d(
+        before["track_id"], after["track_id"], assume_unique=False, return_indices=True
+    )
+    start, end = before[a], after[b]
+    share = (time_ns - start["stamp_ns"]) / (end["stamp_ns"] - start["stamp_ns"])
+    out = end.copy()
+    for name in ("xy", "velocity"):
+        out[name] = start[name] + share[:, None] * (end[name] - start[name])
+    turn = (end["heading"] - start["heading"] + np.pi) % (2 * np.pi) - np.pi
+    # A heading that becomes known holds from then on.
+    out["heading"] = np.where(
+        np.isnan(start["heading"]), np.nan, start["heading"] + share * np.nan_to_num(turn)
+    )
+    out["predicted"] = start["predicted"] | end["predicted"]
+    return out
+
+
+def _turned(vectors: NDArray[np.float64], turn_rad: NDArray[np.float64]) -> NDArray[np.float64]:
+    cos, sin = np.cos(turn_rad), np.sin(turn_rad)
+    x, y = vectors.T
+    return np.column_stack((cos * x - sin * y, sin * x + cos * y))

@@ -1,0 +1,13 @@
+"""What can be wrong with a twin's inputs and its simulation."""
+
+from __future__ import annotations
+
+from geoorbit_ros.core.errors import GeoOrbitError
+
+
+class RoadNetworkError(GeoOrbitError):
+    """A road network, or a map to make one of, that can't be used."""
+
+
+class SimulationError(GeoOrbitError):
+    """SUMO did not start, refused something, or is gone."""

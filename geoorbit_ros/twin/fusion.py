@@ -1,0 +1,262 @@
+"""Tracks of all cameras become vehicles: one vehicle however many cameras see it.
+
+A track stays with its vehicle as long as it moves like one. A track that is new, or that jumped
+(trackers swap ids), is given to a vehicle that has no track of this camera and is where the track
+is: nearest pairs first for the whole step (Kuhn 1955, linear assignment). The rest enter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from geoorbit_ros.twin.fleet import Fleet, usual_size
+from geoorbit_ros.twin.vehicle_types import type_of_class
+
+Slots = NDArray[np.int64]
+OnRoad = Callable[[NDArray[np.float64]], NDArray[np.bool_]]
+
+JUMP_ALONG_M, JUMP_ACROSS_M = 4.0, 2.0
+"""From one step to the next no vehicle leaves its predicted place by more, but for its errors: a
+swap of ids moves a track to the next lane (3 m) or the next vehicle (6 m and more)."""
+GATE_ALONG_M, GATE_ACROSS_M = 4.0, 1.7
+"""Across, half a lane: the vehicle beside is another one."""
+GATE_TURN_RAD = np.radians(35.0)
+GATE_SPEED_MPS = 10.0
+DRIFT_MPS = 2.0
+"""A vehicle that is not seen drifts from its prediction by this."""
+MERGE_ALONG_M, MERGE_ACROSS_M, MERGE_S = 2.5, 1.2, 0.5
+"""Two vehicles of different cameras that stay this near for this long are one."""
+
+
+@dataclass(slots=True)
+class FusionCounts:
+    """What happened so far.
+
+    Attributes:
+        jumps: Tracks that left their vehicle's place at once.
+        handovers: Tracks given to a vehicle that was there already.
+        doubled: Rows ignored because they lay within another vehicle of their camera.
+        merged: Vehicles found to be another one's double.
+        off_road: Rows ignored because they lay beside the network.
+    """
+
+    jumps: int = 0
+    handovers: int = 0
+    doubled: int = 0
+    merged: int = 0
+    off_road: int = 0
+
+
+class Fusion:
+    """Binds tracks to vehicles and vehicles to places.
+
+    Args:
+        fleet: The vehicles; changed with every update.
+        cameras: How many there are.
+        on_road: Tells for points (M, 2) whether a vehicle may enter there.
+    """
+
+    def __init__(self, fleet: Fleet, cameras: int, on_road: OnRoad) -> None:
+        self.counts = FusionCounts()
+        self._fleet, self._on_road = fleet, on_road
+        self._bound: list[dict[int, int]] = [{} for _ in range(cameras)]
+        self._near_s: dict[tuple[int, int], float] = {}
+
+    def release(self, slot: Slots) -> None:
+        """These vehicles are leaving: no track is theirs any more."""
+        gone = set(slot.tolist())
+        if gone:
+            for bound in self._bound:
+                for track in [t for t, s in bound.items() if s in gone]:
+                    del bound[track]
+
+    def forget_tracks(self, camera: int) -> None:
+        """A camera's tracker started again: its numbers mean nothing any more."""
+        self._bound[camera].clear()
+
+    def update(self, time_ns: int, step_s: float, tables: Sequence[NDArray[np.void]]) -> Slots:
+        """Move all vehicles to `time_ns`, by their tracks where they have one.
+
+        Args:
+            time_ns: Time of the step.
+            step_s: Time since the last one; the vehicles' states are of then.
+            tables: `OBSERVATION_DTYPE` rows of each camera at `time_ns`.
+
+        Returns:
+            (E,) slots of vehicles that entered.
+        """
+        table = self._fleet.table
+        present = self._fleet.slots
+        table["xy"][present] += table["velocity"][present] * step_s
+        table["observed"][present] = False
+        table["predicted"][present] = False
+        table["cameras"][present] = 0
+        entered, slots, rows = [], [], []
+        for camera, found in enumerate(tables):
+            slot = self._bind(camera, found, time_ns)
+            new = np.flatnonzero(slot < 0)
+            new = new[self._on_road(found["xy"][new])]
+            self.counts.off_road += int(np.count_nonzero(slot < 0)) - len(new)
+            if len(new):
+                fresh = self._fleet.enter(len(new))
+                slot[new] = fresh
+                entered.append(fresh)
+                self._bound[camera].update(
+                    zip(found["track_id"][new].tolist(), fresh.tolist(), strict=True)
+                )
+                self._place(fresh, found[new], time_ns)  # the next camera may see them, too
+            kept = slot >= 0
+            slots.append(slot[kept])
+            rows.append(found[kept])
+        if slots:
+            self._place(np.concatenate(slots), np.concatenate(rows), time_ns)
+        if len(tables) > 1:
+            self._merge(step_s)
+        return np.concatenate(entered) if entered else np.empty(0, np.int64)
+
+    def _bind(self, camera: int, rows: NDArray[np.void], time_ns: int) -> Slots:
+        """The vehicle of each row (R,); -1 for rows to enter, -2 for rows to ignore."""
+        bound, track = self._bound[camera], rows["track_id"].tolist()
+        slot = np.array([bound.get(t, -1) for t in track], dtype=np.int64)
+        held = np.flatnonzero(slot >= 0)
+        along, across = self._apart(rows[held], slot[held])
+        slack = rows["sigma"][held]
+        jumped = np.abs(along) > JUMP_ALONG_M + 3.0 * slack
+        jumped |= np.abs(across) > JUMP_ACROSS_M + 0.5 * slack
+        self.counts.jumps += int(np.count_nonzero(jumped))
+        slot[held[jumped]] = -1
+        for k in held[jumped].tolist():
+            del bound[track[k]]
+        free = np.flatnonzero(slot < 0)
+        if len(free):
+            taken = slot[slot >= 0]
+            slot[free] = self._associate(rows[free], taken, time_ns)
+            self.counts.handovers += int(np.count_nonzero(slot[free] >= 0))
+            bound.update((track[k], int(slot[k])) for k in free.tolist() if slot[k] >= 0)
+            slot[free] = np.where(
+                (slot[free] < 0) & self._doubles(rows[free], taken), -2, slot[free]
+            )
+            self.counts.doubled += int(np.count_nonzero(slot == -2))
+        return slot
+
+    def _associate(self, rows: NDArray[np.void], taken: Slots, time_ns: int) -> Slots:
+        """Vehicles for rows without one, -1 where there is none."""
+        found = np.full(len(rows), -1, dtype=np.int64)
+        table = self._fleet.table
+        able = np.setdiff1d(self._fleet.slots, taken)
+        if not len(able):
+            return found
+        pair_row = np.repeat(np.arange(len(rows)), len(able))
+        pair_slot = np.tile(able, len(rows))
+        pairs, vehicles = rows[pair_row], table[pair_slot]
+        along, across = self._apart(pairs, pair_slot)
+        sigma = np.hypot(pairs["sigma"], vehicles["sigma"])
+        unseen_s = (time_ns - vehicles["seen_ns"]) * 1e-9
+        turn = (pairs["heading"] - vehicles["heading"] + np.pi) % (2 * np.pi) - np.pi
+        speed = np.hypot(*(pairs["velocity"] - vehicles["velocity"]).T)
+        reach = GATE_ALONG_M + 2.0 * sigma + DRIFT_MPS * unseen_s
+        cost = (along / reach) ** 2 + (across / GATE_ACROSS_M) ** 2
+        barred = (np.abs(along) > reach) | (np.abs(across) > GATE_ACROSS_M)
+        barred |= np.abs(np.nan_to_num(turn)) > GATE_TURN_RAD
+        # A track that has just begun has no velocity yet.
+        barred |= ~np.isnan(pairs["heading"]) & (speed > GATE_SPEED_MPS)
+        matrix = np.where(barred, 1e3, cost).reshape(len(rows), len(able))
+        r, v = linear_sum_assignment(matrix)
+        good = matrix[r, v] < 1e3
+        found[r[good]] = able[v[good]]
+        return found
+
+    def _doubles(self, rows: NDArray[np.void], taken: Slots) -> NDArray[np.bool_]:
+        """Whether rows lie within a vehicle that another track of the same camera has."""
+        if not len(taken):
+            return np.zeros(len(rows), dtype=np.bool_)
+        slot = np.tile(taken, len(rows))
+        along, across = self._apart(rows[np.repeat(np.arange(len(rows)), len(taken))], slot)
+        table = self._fleet.table
+        inside = np.abs(along) < 0.5 * table["length"][slot]
+        inside &= np.abs(across) < 0.5 * table["width"][slot]
+        return np.asarray(inside.reshape(len(rows), -1).any(axis=1))
+
+    def _apart(
+        self, rows: NDArray[np.void], slot: Slots
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """How far rows are from vehicles, along and across the vehicle's heading."""
+        table = self._fleet.table
+        heading = np.nan_to_num(table["heading"][slot])
+        dx, dy = (rows["xy"] - table["xy"][slot]).T
+        cos, sin = np.cos(heading), np.sin(heading)
+        return dx * cos + dy * sin, dy * cos - dx * sin
+
+    def _place(self, slot: Slots, rows: NDArray[np.void], time_ns: int) -> None:
+        """Vehicles get the states of their tracks; several are weighted by their variances."""
+        table = self._fleet.table
+        self._fleet.vote(slot, type_of_class(rows["class_id"]))
+        place, first, inverse, count = np.unique(
+            slot, return_index=True, return_inverse=True, return_counts=True
+        )
+        mean = rows[first]
+        if len(place) < len(slot):
+            mean = _weighted_means(rows, inverse, first)
+        for name in ("xy", "velocity", "sigma", "predicted"):
+            table[name][place] = mean[name]
+        known = ~np.isnan(mean["heading"])
+        table["heading"][place[known]] = mean["heading"][known]
+        length, width = usual_size(table["kind"][place], mean["length"], mean["width"])
+        table["length"][place], table["width"][place] = length, width
+        table["seen_ns"][place], table["observed"][place] = time_ns, True
+        table["cameras"][place] = count
+
+    def _merge(self, step_s: float) -> None:
+        """Give the tracks of a vehicle that is another one's double to the older one."""
+        slots = self._fleet.slots
+        table = self._fleet.table
+        seen = slots[table["observed"][slots] & (table["cameras"][slots] == 1)]
+        cameras = [set(b.values()) for b in self._bound]
+        near: dict[tuple[int, int], float] = {}
+        if len(seen) > 1:
+            gap = table["xy"][seen][:, None] - table["xy"][seen][None]
+            pairs = np.argwhere(np.triu(np.hypot(gap[..., 0], gap[..., 1]) < MERGE_ALONG_M, 1))
+            for a, b in seen[pairs].tolist():
+                turn = table["heading"][a] - table["heading"][b]
+                cos, sin = np.cos(table["heading"][a]), np.sin(table["heading"][a])
+                dx, dy = table["xy"][a] - table["xy"][b]
+                if abs(dy * cos - dx * sin) > MERGE_ACROSS_M or np.cos(turn) < 0.8:
+                    continue
+                if not any(a in bound and b in bound for bound in cameras):
+                    near[a, b] = self._near_s.get((a, b), 0.0) + step_s
+        self._near_s = near
+        for (a, b), time_s in near.items():
+            if time_s >= MERGE_S:
+                stays, goes = sorted((a, b), key=lambda s: int(table["vehicle_id"][s]))
+                for bound in self._bound:
+                    bound.update({t: stays for t, s in bound.items() if s == goes})
+                table["seen_ns"][goes] = 0  # it leaves with this step
+                table["observed"][goes] = False
+                self.counts.merged += 1
+
+
+def _weighted_means(
+    rows: NDArray[np.void], group: NDArray[np.int64], first: NDArray[np.int64]
+) -> NDArray[np.void]:
+    """One row per group: means weighted by the inverse of the squared ground error."""
+    weight = 1.0 / (rows["sigma"] ** 2 + 0.05**2)
+    total = np.bincount(group, weight)
+
+    def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(np.bincount(group, weight * values) / total)
+
+    out = rows[first].copy()
+    for name in ("xy", "velocity"):
+        out[name] = np.column_stack([mean(rows[name][:, k]) for k in range(2)])
+    known = ~np.isnan(rows["heading"])
+    angle = np.where(known, rows["heading"], 0.0)
+    cos, sin = mean(known * np.cos(angle)), mean(known * np.sin(angle))
+    out["heading"] = np.where(np.hypot(cos, sin) > 1e-6, np.arctan2(sin, cos), np.nan)
+    out["sigma"] = 1.0 / np.sqrt(total)
+    out["predicted"] = np.bincount(group, ~rows["predicted"]) == 0
+    return out

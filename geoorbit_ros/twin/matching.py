@@ -1,0 +1,152 @@
+"""Which lane each vehicle is in: a hidden Markov filter over lanes, updated with every step.
+
+States are the lanes near the vehicle. The observation is its distance from the lane's middle and
+its heading against the lane's; transitions follow the network: staying and driving on are free,
+a lane change costs, a jump costs much (Newson and Krumm 2009, "Hidden Markov map matching through
+noise and sparseness", here with lanes in place of roads, and as a filter: no later observation is
+waited for).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.twin.lane_index import CANDIDATES, LaneIndex
+from geoorbit_ros.twin.lane_links import LaneLinks
+from geoorbit_ros.twin.network import NONE, RoadNetwork
+
+LATERAL_SIGMA_M = 0.8
+"""Drivers keep within 0.3 m of their own line, which is 0.2 m off the middle; maps and cameras add
+theirs. Errors of one vehicle last for seconds, and so one observation must not count for much."""
+SIGMA_SHARE = 0.15
+"""Of the track's worst ground error, which lies along the line of sight, this much is lateral."""
+HEADING_SIGMA_RAD = np.radians(12.0)
+MAX_TURN_RAD = np.radians(80.0)
+"""Nobody drives along a lane with this angle to it: it is another road or another direction."""
+ENTRY_M = 4.0
+"""Nothing farther from the middle of every lane is traffic: half a lane and a shoulder."""
+IMPOSSIBLE = -1e6
+FORGET = 12.0
+"""Cost of the worst hypothesis that is kept: a lane that was ruled out can come back."""
+MARGIN = 0.5
+"""A lane becomes the vehicle's when it beats the present one by this: hysteresis."""
+
+
+@dataclass(frozen=True, slots=True)
+class Matches:
+    """Lanes of M vehicles.
+
+    Attributes:
+        lane: (M,) lane number, `NONE` beside the network.
+        arc_m: (M,) place along the lane.
+        offset_m: (M,) distance from the lane's middle, positive to the left.
+        heading_rad: (M,) the lane's direction there; NaN beside the network.
+    """
+
+    lane: NDArray[np.int64]
+    arc_m: NDArray[np.float64]
+    offset_m: NDArray[np.float64]
+    heading_rad: NDArray[np.float64]
+
+
+class LaneMatcher:
+    """Keeps for each vehicle, in its slot, the lanes that it may be in.
+
+    Args:
+        network: Whose lanes.
+        capacity: Vehicles that can be remembered at first; it grows by itself.
+    """
+
+    def __init__(self, network: RoadNetwork, capacity: int = 64) -> None:
+        self._index = LaneIndex(network)
+        self._links = LaneLinks(network)
+        self._lane = np.full((capacity, CANDIDATES), NONE, dtype=np.int64)
+        self._score = np.zeros((capacity, CANDIDATES))
+        self._cost = np.zeros((capacity, CANDIDATES, CANDIDATES))
+        self._best = np.full(capacity, NONE, dtype=np.int64)
+
+    def forget(self, slot: NDArray[np.int64]) -> None:
+        """Vehicles in these slots are new ones."""
+        self._reserve(int(slot.max(initial=-1)) + 1)
+        self._lane[slot] = NONE
+        self._best[slot] = NONE
+
+    def on_road(self, xy: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """(M,) whether points (M, 2) are near enough to a lane to enter there."""
+        return np.asarray((self._index.near(xy, ENTRY_M).lane != NONE).any(axis=1))
+
+    def update(
+        self,
+        slot: NDArray[np.int64],
+        xy: NDArray[np.float64],
+        heading_rad: NDArray[np.float64],
+        sigma_m: NDArray[np.float64],
+    ) -> Matches:
+        """Observe vehicles once.
+
+        Args:
+            slot: (M,) which vehicles, each once.
+            xy: (M, 2) map frame.
+            heading_rad: (M,) NaN where not known.
+            sigma_m: (M,) 1-sigma ground errors.
+        """
+        near = self._index.near(xy)
+        present = near.lane != NONE
+        score = _observation(near.offset_m, near.heading_rad, heading_rad, sigma_m)
+        score[~present] = IMPOSSIBLE
+        known = (self._lane[slot] != NONE).any(axis=1)
+        prior = self._prior(slot[known], near.lane[known])
+        score[known] += prior
+        score -= score.max(axis=1, keepdims=True)
+        best = np.argmax(score, axis=1)
+        rows = np.arange(len(slot))
+        held = near.lane == self._best[slot][:, None]
+        stays = (held & (score > -MARGIN) & present).any(axis=1)
+        best = np.where(stays, np.argmax(held, axis=1), best)
+        lost = score[rows, best] <= IMPOSSIBLE / 2
+        lost |= ~present[rows, best]
+        lane = np.where(lost, NONE, near.lane[rows, best])
+        self._lane[slot], self._score[slot], self._best[slot] = near.lane, score, lane
+        return Matches(
+            lane,
+            near.arc_m[rows, best],
+            near.offset_m[rows, best],
+            np.where(lost, np.nan, near.heading_rad[rows, best]),
+        )
+
+    def _prior(self, slot: NDArray[np.int64], lane: NDArray[np.int64]) -> NDArray[np.float64]:
+        """(M, C) what the past says about lanes (M, C) of now."""
+        changed = (self._lane[slot] != lane).any(axis=1)
+        if changed.any():
+            at = slot[changed]
+            self._cost[at] = self._links.cost(self._lane[at], lane[changed])
+        return np.asarray(
+            np.max(np.maximum(self._score[slot], -FORGET)[:, :, None] - self._cost[slot], axis=1)
+        )
+
+    def _reserve(self, capacity: int) -> None:
+        more = max(capacity, 2 * len(self._best)) - len(self._best)
+        if capacity <= len(self._best):
+            return
+        self._lane = np.concatenate([self._lane, np.full((more, CANDIDATES), NONE)])
+        self._score = np.concatenate([self._score, np.zeros((more, CANDIDATES))])
+        self._cost = np.concatenate([self._cost, np.zeros((more, CANDIDATES, CANDIDATES))])
+        self._best = np.append(self._best, np.full(more, NONE))
+
+
+def _observation(
+    offset_m: NDArray[np.float64],
+    lane_heading: NDArray[np.float64],
+    heading: NDArray[np.float64],
+    sigma_m: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """(M, C) log likelihoods."""
+    lateral = np.hypot(LATERAL_SIGMA_M, SIGMA_SHARE * sigma_m)[:, None]
+    turn = heading[:, None] - lane_heading
+    turn = np.nan_to_num((turn + np.pi) % (2 * np.pi) - np.pi)
+    score = -0.5 * (offset_m / lateral) ** 2 - 0.5 * (turn / HEADING_SIGMA_RAD) ** 2
+    score[np.abs(turn) > MAX_TURN_RAD] = IMPOSSIBLE
+    return score

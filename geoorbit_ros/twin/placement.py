@@ -1,0 +1,194 @@
+"""Puts the fleet's vehicles into the simulation and reads back where it has them."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.twin.fleet import Fleet
+from geoorbit_ros.twin.lane_walk import walk
+from geoorbit_ros.twin.network import NONE, RoadNetwork
+from geoorbit_ros.twin.simulation import Moves, Simulation, States
+from geoorbit_ros.twin.vehicle_types import TYPES
+
+RESIZE_M = 0.5
+"""A vehicle gets another length when its track's differs by this."""
+REACH_M = 3.0
+"""SUMO looks for the lane this much farther than where it should be."""
+
+
+@dataclass(frozen=True, slots=True)
+class TwinStep:
+    """The twin after one step; M vehicles, all in the map frame.
+
+    Attributes:
+        stamp_ns: Time of the step.
+        vehicle_id: (M,) unique for ever.
+        xy: (M, 2) middle of the footprint as SUMO has it; NaN for a vehicle that SUMO took away.
+        heading_rad: (M,) counter-clockwise from east, as SUMO has it.
+        velocity: (M, 2) m/s.
+        size_m: (M, 2) length and width.
+        sigma_m: (M,) 1-sigma ground error of the tracks.
+        kind: (M,) number in `vehicle_types.TYPES`.
+        lane: (M,) lane number that SUMO has it in, by its front; `NONE` beside the network.
+        wanted_lane: (M,) lane number that it was put on.
+        observed: (M,) whether a camera saw it; otherwise it goes on as before.
+        cameras: (M,) how many did.
+        wanted_xy: (M, 2) where the tracks say it is.
+        wanted_heading_rad: (M,).
+        cost_s: Time that the step took.
+    """
+
+    stamp_ns: int
+    vehicle_id: NDArray[np.int64]
+    xy: NDArray[np.float64]
+    heading_rad: NDArray[np.float64]
+    velocity: NDArray[np.float64]
+    size_m: NDArray[np.float64]
+    sigma_m: NDArray[np.float64]
+    kind: NDArray[np.int64]
+    lane: NDArray[np.int64]
+    wanted_lane: NDArray[np.int64]
+    observed: NDArray[np.bool_]
+    cameras: NDArray[np.int64]
+    wanted_xy: NDArray[np.float64]
+    wanted_heading_rad: NDArray[np.float64]
+    cost_s: float
+
+
+class Placement:
+    """Keeps a simulation's vehicles where the fleet's are.
+
+    SUMO's vehicle is at the middle of its front bumper, the fleet's at the middle of its
+    footprint: half a length lies between them along the heading.
+
+    Args:
+        network: The roads.
+        fleet: The vehicles.
+        simulation: What is moved.
+
+    Attributes:
+        lost: Vehicles that SUMO took away so far; they are put back with the next step.
+    """
+
+    def __init__(self, network: RoadNetwork, fleet: Fleet, simulation: Simulation) -> None:
+        self._network, self._fleet, self._simulation = network, fleet, simulation
+        self._leaving: list[str] = []
+        self.lost = 0
+
+    def replace(self, simulation: Simulation) -> None:
+        """Go on with another simulation; all vehicles enter it with the next step."""
+        self._simulation = simulation
+        self._leaving = []
+        self._fleet.table["entered"] = False
+
+    def leave(self, slot: NDArray[np.int64]) -> None:
+        """These vehicles leave with the next step."""
+        rows = self._fleet.table[slot]
+        self._leaving += _names(rows["vehicle_id"][rows["entered"]])
+
+    def step(self, now_ns: int, slots: NDArray[np.int64], start_s: float) -> TwinStep:
+        """Simulate one step that ends with the vehicles where the fleet has them.
+
+        Args:
+            now_ns: Time of its end.
+            slots: (M,) all vehicles.
+            start_s: `time.perf_counter` when work on this step began.
+
+        Raises:
+            SimulationError: The simulation is gone.
+        """
+        table = self._fleet.table
+        names = _names(table["vehicle_id"][slots])
+        self._enter_and_resize(slots, names)
+        rows = table[slots]
+        front = rows["xy"] + _bumper(rows["heading"], rows["sim_length"])
+        lane = self._front_lanes(rows, front)
+        plane, network = self._network.plane, self._network
+        turn = plane.to_network.turn_rad(front)
+        safe = np.maximum(lane, 0)
+        moves = Moves(
+            names,
+            [network.edge_id[k] if k != NONE else "" for k in lane.tolist()],
+            np.where(lane == NONE, 0, network.index[safe]),
+            plane.to_network.points(front),
+            np.degrees(0.5 * np.pi - rows["heading"] - turn) % 360.0,
+            np.abs(rows["offset"]) + REACH_M,
+        )
+        self._simulation.move(moves)
+        self._simulation.step()
+        states = self._simulation.states(names)
+        return self._read(now_ns, slots, rows, lane, states, start_s)
+
+    def _enter_and_resize(self, slots: NDArray[np.int64], names: list[str]) -> None:
+        table = self._fleet.table
+        while self._leaving:
+            self._simulation.remove(self._leaving.pop())
+        rows = table[slots]
+        other = rows["kind"] != rows["sim_kind"]
+        other |= np.abs(rows["length"] - rows["sim_length"]) > RESIZE_M
+        for k in np.flatnonzero(other | ~rows["entered"]).tolist():
+            row, slot = rows[k], slots[k]
+            change = self._simulation.resize if row["entered"] else self._simulation.add
+            change(names[k], TYPES[row["kind"]].name, float(row["length"]), float(row["width"]))
+            table["entered"][slot] = True
+            for name in ("kind", "length", "width"):
+                table[f"sim_{name}"][slot] = row[name]
+
+    def _front_lanes(self, rows: NDArray[np.void], front: NDArray[np.float64]) -> NDArray[np.int64]:
+        """(M,) lanes of the front bumpers: a lane on where they are over its end."""
+        lane = rows["lane"].copy()
+        ahead = rows["arc"] + 0.5 * rows["sim_length"]
+        over = (lane != NONE) & (ahead > self._network.length_m[np.maximum(lane, 0)])
+        for k in np.flatnonzero(over).tolist():
+            place = walk(self._network, int(lane[k]), float(ahead[k]), 0.0, front[k])
+            lane[k] = place.lane
+        return np.asarray(lane)
+
+    def _read(
+        self,
+        now_ns: int,
+        slots: NDArray[np.int64],
+        rows: NDArray[np.void],
+        lane: NDArray[np.int64],
+        states: States,
+        start_s: float,
+    ) -> TwinStep:
+        gone = np.isnan(states.angle_deg)
+        if gone.any():
+            self.lost += int(np.count_nonzero(gone))
+            self._fleet.table["entered"][slots[gone]] = False
+        plane, number = self._network.plane, self._network.number
+        front = plane.to_map.points(states.xy)
+        heading = 0.5 * np.pi - np.radians(states.angle_deg) + plane.to_map.turn_rad(states.xy)
+        heading = (heading + np.pi) % (2 * np.pi) - np.pi
+        return TwinStep(
+            stamp_ns=now_ns,
+            vehicle_id=rows["vehicle_id"],
+            xy=front - _bumper(heading, rows["sim_length"]),
+            heading_rad=heading,
+            velocity=rows["velocity"],
+            size_m=np.column_stack((rows["sim_length"], rows["sim_width"])),
+            sigma_m=rows["sigma"],
+            kind=rows["sim_kind"],
+            lane=np.array([number.get(name, NONE) for name in states.lane], dtype=np.int64),
+            wanted_lane=lane,
+            observed=rows["observed"],
+            cameras=rows["cameras"],
+            wanted_xy=rows["xy"],
+            wanted_heading_rad=rows["heading"],
+            cost_s=time.perf_counter() - start_s,
+        )
+
+
+def _names(vehicle_id: NDArray[np.int64]) -> list[str]:
+    return [f"v{k}" for k in vehicle_id.tolist()]
+
+
+def _bumper(heading_rad: NDArray[np.float64], length_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(M, 2) from the middle of the footprint to that of the front bumper."""
+    unit = np.column_stack((np.cos(heading_rad), np.sin(heading_rad)))
+    return np.asarray(0.5 * length_m[:, None] * unit)

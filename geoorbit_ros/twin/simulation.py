@@ -1,0 +1,330 @@
+"""SUMO as the twin needs it: vehicles that are put where they are seen.
+
+In process (libsumo, one simulation per process) or as a program of its own (TraCI, with a window
+when asked for). Both speak the same Python interface, so that one class drives either.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.twin.errors import SimulationError
+from geoorbit_ros.twin.running_network import write_running_network
+from geoorbit_ros.twin.vehicle_types import write_types
+
+Backend = Literal["libsumo", "traci"]
+START_RETRIES, RETRY_S = 200, 0.1
+CLOSE_TIMEOUT_S = 10.0
+_LEAKED = ("LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")
+"""Variables that the ROS wheels set for their own process; no other program may see them."""
+_FREE_PLACE = 6
+"""`keepRoute` of moveToXY: leave the route and the road (2), on lanes closed to the class (4)."""
+_ARRIVED = 2
+"""Reason of removal: the vehicle reached its destination (traci.constants.REMOVE_ARRIVED)."""
+
+_running_in_process = False
+
+
+@dataclass(frozen=True, slots=True)
+class Moves:
+    """Where M vehicles go in the next step, in the network's coordinates.
+
+    Attributes:
+        name: SUMO's vehicle ids.
+        edge: Edge of each.
+        lane: (M,) lane index in the edge.
+        xy: (M, 2) middle of the front bumper.
+        angle_deg: (M,) clockwise from north.
+        reach_m: (M,) how far the lane may be away.
+    """
+
+    name: Sequence[str]
+    edge: Sequence[str]
+    lane: NDArray[np.int64]
+    xy: NDArray[np.float64]
+    angle_deg: NDArray[np.float64]
+    reach_m: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class States:
+    """Where SUMO has M vehicles after a step, in the network's coordinates.
+
+    Attributes:
+        xy: (M, 2) middle of the front bumper; NaN for vehicles that SUMO took away.
+        angle_deg: (M,) clockwise from north.
+        lane: (M,) lane ids, empty beside the network.
+    """
+
+    xy: NDArray[np.float64]
+    angle_deg: NDArray[np.float64]
+    lane: list[str]
+
+
+class Simulation(Protocol):
+    """What the synchroniser needs of a simulation.
+
+    Every method raises SimulationError when the simulation is gone.
+    """
+
+    def add(self, name: str, type_name: str, length_m: float, width_m: float) -> None:
+        """Let a vehicle enter; it appears where the next `move` puts it."""
+
+    def resize(self, name: str, type_name: str, length_m: float, width_m: float) -> None:
+        """Give a vehicle another type and size."""
+
+    def remove(self, name: str) -> None:
+        """Let a vehicle leave."""
+
+    def move(self, moves: Moves) -> None:
+        """Say where vehicles are at the end of the next step."""
+
+    def step(self) -> None:
+        """Simulate one step."""
+
+    def states(self, names: Sequence[str]) -> States:
+        """Where vehicles are."""
+
+    def close(self) -> None:
+        """End the simulation."""
+
+
+class SumoSimulation:
+    """A SUMO simulation of a network without any other traffic.
+
+    Args:
+        network: The network file.
+        step_s: Length of a step.
+        backend: `libsumo` in this process, `traci` as a program of its own.
+        gui: Show a window (`sumo-gui`; TraCI only).
+        options: More of SUMO's options.
+
+    Attributes:
+        pid: Process id of the program; None in process.
+
+    Raises:
+        SimulationError: SUMO is not there, refuses the network, or a second one in this process.
+        RoadNetworkError: The network file can't be read.
+    """
+
+    def __init__(
+        self,
+        network: Path,
+        step_s: float,
+        *,
+        backend: Backend = "libsumo",
+        gui: bool = False,
+        options: Sequence[str] = (),
+    ) -> None:
+        self._folder = Path(tempfile.mkdtemp(prefix="geoorbit_twin_"))
+        self._process: subprocess.Popen[bytes] | None = None
+        self._in_process = backend == "libsumo"
+        self._sumo: Any = None
+        self._fatal: tuple[type[Exception], ...] = ()
+        try:
+            net, types = self._folder / "twin.net.xml", self._folder / "twin.add.xml"
+            write_running_network(network, net)
+            write_types(types)
+            arguments = [f"--net-file={net}", f"--additional-files={types}", *_OPTIONS]
+            arguments += [f"--step-length={step_s:g}", *options]
+            if self._in_process:
+                self._start_in_process(arguments)
+            else:
+                self._start_program("sumo-gui" if gui else "sumo", arguments)
+        except BaseException:
+            shutil.rmtree(self._folder, ignore_errors=True)
+            raise
+        self._vehicle: Any = self._sumo.vehicle
+
+    @property
+    def pid(self) -> int | None:
+        """Process id of SUMO as a program of its own."""
+        return self._process.pid if self._process else None
+
+    @property
+    def sumo(self) -> Any:
+        """SUMO's own Python interface (libsumo, or a TraCI connection), for what is not here."""
+        return self._sumo
+
+    def add(self, name: str, type_name: str, length_m: float, width_m: float) -> None:
+        """Let a vehicle enter; it appears where the next `move` puts it."""
+        with self._watched():
+            # No route: SUMO makes one of the edge that the vehicle is put on.
+            self._vehicle.add(name, "", type_name, depart="now")
+            self._vehicle.setSpeedMode(name, 0)
+            self._vehicle.setLaneChangeMode(name, 0)
+            self._vehicle.setLength(name, length_m)
+            self._vehicle.setWidth(name, width_m)
+
+    def resize(self, name: str, type_name: str, length_m: float, width_m: float) -> None:
+        """Give a vehicle another type and size."""
+        with self._watched():
+            self._vehicle.setType(name, type_name)
+            self._vehicle.setLength(name, length_m)
+            self._vehicle.setWidth(name, width_m)
+
+    def remove(self, name: str) -> None:
+        """Let a vehicle leave."""
+        with self._watched():
+            self._vehicle.remove(name, _ARRIVED)
+
+    def move(self, moves: Moves) -> None:
+        """Say where vehicles are at the end of the next step."""
+        place = self._vehicle.moveToXY
+        rows = zip(
+            moves.name,
+            moves.edge,
+            moves.lane.tolist(),
+            *moves.xy.T.tolist(),
+            moves.angle_deg.tolist(),
+            moves.reach_m.tolist(),
+            strict=True,
+        )
+        with self._watched():
+            for name, edge, lane, x, y, angle, reach in rows:
+                place(name, edge, lane, x, y, angle, _FREE_PLACE, reach)
+
+    def step(self) -> None:
+        """Simulate one step."""
+        with self._watched():
+            self._sumo.simulationStep()
+
+    def states(self, names: Sequence[str]) -> States:
+        """Where vehicles are."""
+        v = self._vehicle
+        with self._watched():
+            there = set(v.getIDList())
+            missing = (float("nan"), float("nan"))
+            xy = [v.getPosition(n) if n in there else missing for n in names]
+            angle = [v.getAngle(n) if n in there else missing[0] for n in names]
+            lane = [v.getLaneID(n) if n in there else "" for n in names]
+        return States(np.array(xy).reshape(-1, 2), np.array(angle, dtype=np.float64), lane)
+
+    def close(self) -> None:
+        """End the simulation; a program that does not end is killed."""
+        global _running_in_process
+        if self._sumo is not None:
+            with suppress(Exception):  # it may be gone already, which is what is wanted
+                self._sumo.close(*(() if self._in_process else (False,)))
+            self._sumo = None
+            if self._in_process:
+                _running_in_process = False
+        if self._process is not None:
+            try:
+                self._process.wait(CLOSE_TIMEOUT_S)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _start_in_process(self, arguments: list[str]) -> None:
+        global _running_in_process
+        import libsumo
+
+        if _running_in_process:
+            raise SimulationError("SUMO", "a second simulation in one process", "one (libsumo)")
+        self._fatal = (libsumo.TraCIException, libsumo.FatalTraCIError)
+        try:
+            libsumo.start(["sumo", *arguments])
+        except (*self._fatal, RuntimeError) as error:
+            raise SimulationError("SUMO", _first_line(error), "a simulation") from error
+        _running_in_process = True
+        self._sumo = libsumo
+
+    def _start_program(self, program: str, arguments: list[str]) -> None:
+        import sumolib
+        import traci
+
+        self._fatal = (traci.TraCIException, traci.FatalTraCIError, OSError)
+        path = shutil.which(sumolib.checkBinary(program))
+        if path is None:
+            raise SimulationError("SUMO", f"no program '{program}'", "pip install eclipse-sumo")
+        port = sumolib.miscutils.getFreeSocketPort()
+        env = {key: value for key, value in os.environ.items() if key not in _LEAKED}
+        gui = ["--start", "--quit-on-end"] if program == "sumo-gui" else []
+        log = self._folder / "sumo.log"
+        with log.open("wb") as output:
+            self._process = subprocess.Popen(
+                [path, *arguments, *gui, f"--remote-port={port}"],
+                env=env,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+            )
+        self._sumo = _connect(port, self._process, log)
+
+    def _watched(self) -> _Watch:
+        return _Watch(self)
+
+
+class _Watch:
+    """Turns what SUMO's interface raises into one sentence."""
+
+    def __init__(self, simulation: SumoSimulation) -> None:
+        self._simulation = simulation
+
+    def __enter__(self) -> None:
+        if self._simulation._sumo is None:
+            raise SimulationError("SUMO", "a simulation that was closed", "a running one")
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if error is None or not isinstance(error, self._simulation._fatal):
+            return
+        process = self._simulation._process
+        if process is not None:
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(0.5)
+            if process.returncode is not None:
+                found = f"its process ended with {_status(process.returncode)}"
+                raise SimulationError("SUMO", found, "a running simulation") from error
+        raise SimulationError("SUMO", _first_line(error), "a running simulation") from error
+
+
+_OPTIONS = (
+    "--no-step-log=true",
+    "--no-warnings=true",
+    # Vehicles are where they are seen, even if they overlap or stand still for long.
+    "--time-to-teleport=-1",
+    "--collision.action=none",
+    "--collision.check-junctions=false",
+    "--ignore-route-errors=true",
+    "--max-depart-delay=-1",
+)
+
+
+def _connect(port: int, process: subprocess.Popen[bytes], log: Path) -> Any:
+    import time
+
+    from traci.connection import Connection
+
+    for _ in range(START_RETRIES):
+        if process.poll() is not None:
+            text = log.read_text(errors="replace").strip().splitlines()
+            found = text[0][:300] if text else _status(process.returncode)
+            raise SimulationError("SUMO", found, "a simulation")
+        try:
+            return Connection("localhost", port, process, None, False, None)
+        except OSError:
+            time.sleep(RETRY_S)
+    process.kill()
+    process.wait()
+    raise SimulationError("SUMO", f"no answer in {START_RETRIES * RETRY_S:g} s", "a simulation")
+
+
+def _status(code: int) -> str:
+    return f"signal {-code}" if code < 0 else f"exit status {code}"
+
+
+def _first_line(error: BaseException) -> str:
+    lines = str(error).strip().splitlines()
+    return lines[0][:300] if lines else type(error).__name__

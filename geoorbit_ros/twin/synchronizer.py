@@ -1,0 +1,156 @@
+"""Keeps a simulation in step with the tracks of all cameras.
+
+Time is that of the tracks alone: a step is simulated as soon as every camera has a frame that is
+not older, or is `MAX_WAIT_S` behind the others. The same frames give the same twin at any rate.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.twin.camera_tracks import CameraTracks
+from geoorbit_ros.twin.fleet import Fleet
+from geoorbit_ros.twin.fusion import Fusion
+from geoorbit_ros.twin.lane_walk import walk
+from geoorbit_ros.twin.matching import LaneMatcher
+from geoorbit_ros.twin.network import NONE, RoadNetwork
+from geoorbit_ros.twin.placement import Placement, TwinStep
+from geoorbit_ros.twin.simulation import Simulation
+
+MAX_WAIT_S = 0.2
+"""A camera that is more behind the newest one is not waited for: two frames at 10 Hz."""
+MIN_SPEED_MPS = 0.2
+"""Slower, a vehicle's velocity has no direction worth following."""
+MAX_GAP_S = 30.0
+"""After a longer silence of all cameras time jumps; before, the vehicles have left."""
+
+
+class Synchronizer:
+    """Frames in, simulation steps out.
+
+    Args:
+        network: The roads.
+        simulation: What is moved.
+        cameras: Their names.
+        step_s: Length of a step.
+        hold_s: How long a vehicle that no camera sees goes on before it leaves.
+        on_step: Called after every step.
+
+    Attributes:
+        fleet: The vehicles.
+        fusion: Which track is which vehicle.
+        placement: What keeps the simulation's vehicles where the fleet's are.
+        steps: Simulated so far.
+    """
+
+    def __init__(
+        self,
+        network: RoadNetwork,
+        simulation: Simulation,
+        cameras: Sequence[str],
+        step_s: float,
+        hold_s: float,
+        on_step: Callable[[TwinStep], None],
+    ) -> None:
+        self._network, self._on_step = network, on_step
+        self._step_ns, self._hold_ns = round(step_s * 1e9), round(hold_s * 1e9)
+        self._cameras = {c: CameraTracks(c, hold_s, network.datum) for c in cameras}
+        self._order = {c: k for k, c in enumerate(cameras)}
+        self._matcher = LaneMatcher(network)
+        self._now_ns: int | None = None
+        self.fleet = Fleet()
+        self.placement = Placement(network, self.fleet, simulation)
+        self.fusion = Fusion(self.fleet, len(cameras), self._matcher.on_road)
+        self.steps = 0
+
+    def set_datum(self, camera: str, datum: Datum) -> None:
+        """Where a camera's map frame lies; without it, where the network's does."""
+        self._cameras[camera].set_datum(datum)
+
+    def replace_simulation(self, simulation: Simulation) -> None:
+        """Go on with another simulation, into which all vehicles enter with the next step."""
+        self.placement.replace(simulation)
+
+    def restart(self, camera: str) -> None:
+        """A camera's stream begins anew, at an earlier time."""
+        self._cameras[camera].reset()
+        self.fusion.forget_tracks(self._order[camera])
+        if all(c.newest_ns is None for c in self._cameras.values()):
+            self._now_ns = None
+            self._let_leave(self.fleet.slots)
+
+    def add(self, camera: str, stamp_ns: int, rows: NDArray[np.void]) -> None:
+        """Take a frame of `TRACK_DTYPE` rows and simulate what can be.
+
+        Raises:
+            SimulationError: The simulation is gone; what `replace_simulation` gets goes on here.
+        """
+        self._cameras[camera].add(stamp_ns, rows)
+        if self._now_ns is None:
+            # Steps lie on whole multiples, so that the first frame does not shift them.
+            self._now_ns = -(-stamp_ns // self._step_ns) * self._step_ns - self._step_ns
+        self._advance()
+
+    def finish(self) -> None:
+        """Simulate what can be with the frames there are: no more will come."""
+        self._advance(wait=False)
+
+    def _advance(self, wait: bool = True) -> None:
+        newest = [c.newest_ns for c in self._cameras.values() if c.newest_ns is not None]
+        if not newest or self._now_ns is None:
+            return
+        late = max(newest) - round(MAX_WAIT_S * 1e9) if wait else max(newest)
+        until = max(min(newest), late)
+        if until - self._now_ns > MAX_GAP_S * 1e9:
+            self._let_leave(self.fleet.slots)
+            self._now_ns = (until // self._step_ns - 1) * self._step_ns
+        while self._now_ns + self._step_ns <= until:
+            self._now_ns += self._step_ns
+            self._simulate(self._now_ns)
+
+    def _simulate(self, now_ns: int) -> None:
+        start = time.perf_counter()
+        fleet, step_s = self.fleet, self._step_ns * 1e-9
+        tables = [camera.at(now_ns) for camera in self._cameras.values()]
+        self._matcher.forget(self.fusion.update(now_ns, step_s, tables))
+        table, slots = fleet.table, fleet.slots
+        unseen = slots[~table["observed"][slots]]
+        self._let_leave(unseen[table["seen_ns"][unseen] < now_ns - self._hold_ns])
+        self._coast(unseen[table["active"][unseen]], step_s)
+        slots = fleet.slots
+        found = self._matcher.update(
+            slots, table["xy"][slots], table["heading"][slots], table["sigma"][slots]
+        )
+        table["lane"][slots], table["arc"][slots] = found.lane, found.arc_m
+        table["offset"][slots] = found.offset_m
+        # Until a vehicle has moved, it stands as its lane runs.
+        blind = np.isnan(table["heading"][slots])
+        table["heading"][slots[blind]] = np.nan_to_num(found.heading_rad[blind])
+        step = self.placement.step(now_ns, slots, start)
+        self.steps += 1
+        self._on_step(step)
+
+    def _let_leave(self, slot: NDArray[np.int64]) -> None:
+        self.placement.leave(slot)
+        self.fusion.release(slot)
+        self.fleet.leave(slot)
+
+    def _coast(self, slot: NDArray[np.int64], step_s: float) -> None:
+        """Vehicles that no camera sees go on along their lanes."""
+        table = self.fleet.table
+        for k in slot.tolist():
+            row = table[k]
+            speed = float(np.hypot(*row["velocity"]))
+            if row["lane"] == NONE or speed < MIN_SPEED_MPS:
+                continue  # straight on, as the fusion has it
+            arc_m = float(row["arc"]) + speed * step_s
+            place = walk(self._network, int(row["lane"]), arc_m, float(row["offset"]))
+            table["xy"][k], table["heading"][k] = place.xy, place.heading_rad
+            table["velocity"][k] = speed * np.array(
+                [np.cos(place.heading_rad), np.sin(place.heading_rad)]
+            )
