@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 if TYPE_CHECKING:
+    from geoorbit_ros.core.lanes import Lane
     from geoorbit_ros.scenes.simulate import Progress, SceneRun
 
 app = typer.Typer(
@@ -18,6 +20,14 @@ app = typer.Typer(
 )
 
 _STEPS = {"traffic": "simulating traffic", "camera": "watching it"}
+
+
+class LightOption(StrEnum):
+    """Time of day."""
+
+    DAY = "day"
+    DUSK = "dusk"
+    NIGHT = "night"
 
 
 @app.command("run")
@@ -61,6 +71,68 @@ def run(
     _print_run(result, out)
 
 
+@app.command("render")
+def render(
+    scene: Annotated[
+        str, typer.Argument(help="A scene file, or a shipped scene (geoorbit scene list).")
+    ],
+    out: Annotated[
+        Path, typer.Option(help="New folder for video and truth, or a video file (.mp4, .avi).")
+    ],
+    duration: Annotated[float, typer.Option(help="Seconds that the camera watches.")] = 60.0,
+    seed: Annotated[int, typer.Option(help="Another seed gives other vehicles and colours.")] = 1,
+    light: Annotated[LightOption, typer.Option(help="Time of day.")] = LightOption.DAY,
+    rain: Annotated[bool, typer.Option("--rain", help="Wet road, streaks, no sun.")] = False,
+    fps: Annotated[
+        float | None, typer.Option(help="Frames per second; default: the scene's.")
+    ] = None,
+    size: Annotated[
+        str | None, typer.Option(help="Width x height, such as 1280x720; default: the scene's.")
+    ] = None,
+    shake: Annotated[float, typer.Option(help="Sway of the camera in the wind, 1σ in px.")] = 0.0,
+    clouds: Annotated[
+        float, typer.Option(help="How much the light drifts, as a share of its mean.")
+    ] = 0.08,
+) -> None:
+    """Film a scene: the pictures that its roadside camera would send.
+
+    Into the folder go video.mp4, tracks.csv and tracks.txt (true boxes with true ids, in
+    geoorbit's and in MOTChallenge's format), calibration.csv and truth.geojson: a full test camera.
+    Vehicles are where [bold]geoorbit scene run[/bold] has them with the same seed.
+
+    Example: [bold]geoorbit scene render on_ramp_merge --size 1280x720 --fps 25 --out cam[/bold],
+    then [bold]geoorbit process cam/video.mp4 --calibration cam/calibration.csv --out result[/bold]
+    """
+    from geoorbit_ros.cli.console import console, say
+    from geoorbit_ros.scenes.output import check_new_folder
+    from geoorbit_ros.scenes.render.conditions import Conditions
+    from geoorbit_ros.scenes.render.output import write_rendered_scene, write_video
+    from geoorbit_ros.scenes.render.rendered_scene import render_scene
+    from geoorbit_ros.scenes.render.video import check_suffix, is_video
+    from geoorbit_ros.scenes.scene import load_scene
+
+    description = load_scene(scene)
+    conditions = Conditions(light.value, rain, shake, clouds)
+    image_size = None if size is None else _image_size(size)
+    if out.suffix:
+        check_suffix(out)
+    else:
+        check_new_folder(out)
+    with _shown_progress() as progress:
+        rendered = render_scene(description, duration, seed, conditions, fps, image_size, progress)
+        if is_video(out):
+            write_video(rendered, out)
+            told = ""
+        else:
+            files = write_rendered_scene(rendered, out)
+            told = f"{files.boxes} true boxes of {files.vehicles} vehicles in "
+    _print_lanes(rendered.scene.name, rendered.truth)
+    width, height = rendered.image_size
+    frames = f"{rendered.frame_count} frames of {width}x{height}"
+    say(f"{told}{frames}, {rendered.fps:g} per second.")
+    console.print(f" Wrote {out}", soft_wrap=True)
+
+
 @app.command("list")
 def list_scenes() -> None:
     """Show the scenes that come with geoorbit.
@@ -97,21 +169,9 @@ def _shown_progress() -> Iterator[Progress]:
 def _print_run(result: SceneRun, out: Path) -> None:
     import numpy as np
 
-    from geoorbit_ros.cli.console import console, make_table, say
-    from geoorbit_ros.report.words import compass
+    from geoorbit_ros.cli.console import console, say
 
-    table = make_table(
-        f"True lanes of {result.scene.name}", ">lane|direction|>width m|>vehicles|>visible m"
-    )
-    for lane in result.truth:
-        table.add_row(
-            str(lane.lane_id),
-            f"{compass(lane.heading_deg):>2} {lane.heading_deg:3.0f}°",
-            f"{lane.width_m:.2f}",
-            f"{lane.vehicles:.0f}",
-            f"{lane.length_m:.0f}",
-        )
-    console.print(table)
+    _print_lanes(result.scene.name, result.truth)
     rows = result.frames.rows
     width, height = result.image_size
     say(
@@ -120,3 +180,33 @@ def _print_run(result: SceneRun, out: Path) -> None:
         f"points."
     )
     console.print(f" Wrote {out}", soft_wrap=True)
+
+
+def _print_lanes(name: str, lanes: tuple[Lane, ...]) -> None:
+    from geoorbit_ros.cli.console import console, make_table
+    from geoorbit_ros.report.words import compass
+
+    table = make_table(f"True lanes of {name}", ">lane|direction|>width m|>vehicles|>visible m")
+    for lane in lanes:
+        table.add_row(
+            str(lane.lane_id),
+            f"{compass(lane.heading_deg):>2} {lane.heading_deg:3.0f}°",
+            f"{lane.width_m:.2f}",
+            f"{lane.vehicles:.0f}",
+            f"{lane.length_m:.0f}",
+        )
+    console.print(table)
+
+
+def _image_size(text: str) -> tuple[int, int]:
+    """`1280x720` as numbers.
+
+    Raises:
+        ParameterError: It is written otherwise.
+    """
+    from geoorbit_ros.core.errors import ParameterError
+
+    width, cross, height = text.lower().partition("x")
+    if not (cross and width.isdecimal() and height.isdecimal()):
+        raise ParameterError("size", f"'{text}'", "width x height, such as 1280x720")
+    return int(width), int(height)

@@ -105,8 +105,8 @@ def write_network(placed: dict[str, PlacedRoad], folder: Path, datum: Datum | No
         raise NetworkError("netconvert", last_line(done.stderr), "a network")
     if datum is not None:
         text = net.read_text(encoding="utf-8")
-        place = f'projParameter="{datum.proj_string}"'
-        net.write_text(text.replace('projParameter="!"', place, 1), encoding="utf-8")
+        origin = f'projParameter="{datum.proj_string}"'
+        net.write_text(text.replace('projParameter="!"', origin, 1), encoding="utf-8")
     return net
 
 

@@ -77,7 +77,7 @@ def write_scene_run(run: SceneRun, out_dir: str | Path, camera_id: str | None = 
             (CALIBRATION, points.pixel),
             (CLEAN_CALIBRATION, _ground_pixels(run, points.local_m)),
         ):
-            text = _calibration_csv(pixel, run.datum.to_geodetic(points.local_m))
+            text = calibration_text(pixel, run.datum.to_geodetic(points.local_m))
             (folder / file).write_text(text, encoding="utf-8")
         lane_map = LaneMap(int(run.frames.stamp_ns[-1]), run.truth)
         write_lanes(folder / TRUTH, lane_map, run.datum, camera_id=name, estimator="truth")
@@ -121,7 +121,7 @@ def _ground_pixels(run: SceneRun, ground_m: NDArray[np.float64]) -> NDArray[np.f
     return pixel
 
 
-def _calibration_csv(pixel: NDArray[np.float64], geodetic: NDArray[np.float64]) -> str:
+def calibration_text(pixel: NDArray[np.float64], geodetic: NDArray[np.float64]) -> str:
     """The text of `calibration.csv`; nine decimals of a degree are 0.1 mm."""
     lines = [",".join(PIXEL_COLUMNS + GEODETIC_COLUMNS)]
     for (x, y), (latitude, longitude) in zip(pixel, geodetic, strict=True):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.scenes.camera import PinholeCamera
-from geoorbit_ros.scenes.render.conditions import Colour, Illumination
+from geoorbit_ros.scenes.render.conditions import Colour, Illumination, channels
 from geoorbit_ros.scenes.render.landscape import add_skyline
 from geoorbit_ros.scenes.render.raster import coverage
 from geoorbit_ros.scenes.render.surface import RoadSurface, Strip, shifted
@@ -66,15 +66,15 @@ def make_background(
     _blend(land, _asphalt(camera, surface, noise, ground_m, footprint), pavement)
     worn = 0.80 + 0.10 * noise.sample(ground_m, 0.6, footprint)
     paint = coverage(camera, surface.paint(LINE_WIDTH_M)) * np.clip(worn, 0.5, 1.0)
-    _blend(land, np.broadcast_to(np.float32(PAINT), land.shape), paint)
+    _blend(land, np.broadcast_to(channels(PAINT), land.shape), paint)
     if wet:
         land *= (1.0 - 0.28 * pavement)[..., None]
     add_skyline_seed = seed
     sky = _sky(camera, light, noise)
     clear = np.exp(-distance / light.haze_m)[..., None]
-    level = np.float32(light.ambient)
-    sunny = level + np.float32(light.sun) * np.float32(max(light.sun_direction[2], 0.0))
-    haze = np.float32(light.horizon)
+    level = channels(light.ambient)
+    sunny = level + channels(light.sun) * np.float32(max(light.sun_direction[2], 0.0))
+    haze = channels(light.horizon)
 
     def shown(amount: NDArray[np.float32]) -> Picture:
         picture = land * amount * clear + haze * (1.0 - clear)
@@ -114,7 +114,7 @@ def _land(
 ) -> Picture:
     patches = noise.sample(ground_m, 38.0, footprint) + 0.6 * noise.sample(ground_m, 9.0, footprint)
     dry = np.clip(0.35 + 0.28 * patches, 0.0, 1.0)[..., None]
-    colour = np.float32(GRASS) * (1.0 - dry) + np.float32(DRY_GRASS) * dry
+    colour = channels(GRASS) * (1.0 - dry) + channels(DRY_GRASS) * dry
     grain = 0.11 * noise.sample(ground_m, 2.3, footprint)
     grain += 0.12 * noise.sample(ground_m, 0.7, footprint)
     grain += 0.14 * noise.sample(ground_m, 0.22, footprint)
@@ -149,7 +149,7 @@ def _tinted(
     amount: float,
 ) -> Picture:
     grain = 1.0 + amount * noise.sample(ground_m, wavelength_m, footprint)
-    return np.asarray(np.float32(colour) * grain[..., None], dtype=np.float32)
+    return np.asarray(channels(colour) * grain[..., None], dtype=np.float32)
 
 
 def _blend(below: Picture, above: Picture, share: NDArray[np.float32]) -> None:
@@ -172,9 +172,9 @@ def _sky(camera: PinholeCamera, light: Illumination, noise: GroundNoise) -> Pict
     width, height = camera.image_size
     up = np.clip(_elevation(camera), 0.0, 1.0) / 0.30
     share = np.clip(up, 0.0, 1.0)[..., None] ** 0.7
-    sky = np.float32(light.horizon) * (1.0 - share) + np.float32(light.zenith) * share
+    sky = channels(light.horizon) * (1.0 - share) + channels(light.zenith) * share
     clouds = np.clip(0.30 * noise.clouds(width, height, 4.0), 0.0, 0.55)[..., None]
-    white = np.minimum(np.float32(light.horizon) * np.float32(1.06), np.float32(1.0))
+    white = np.minimum(channels(light.horizon) * np.float32(1.06), np.float32(1.0))
     return np.asarray(sky + (white - sky) * clouds, dtype=np.float32)
 
 
@@ -187,4 +187,4 @@ def _mirror(
     """The sky in the wet road: Schlick's share of reflected light, water's at normal incidence."""
     sine = np.clip(camera.centre_m[2] / distance, 0.0, 1.0)
     share = (0.02 + 0.98 * (1.0 - sine) ** 5) * 0.55 * pavement
-    return np.asarray(np.float32(light.horizon) * share[..., None], dtype=np.float32)
+    return np.asarray(channels(light.horizon) * share[..., None], dtype=np.float32)

@@ -125,6 +125,11 @@ def illumination(conditions: Conditions, azimuth_rad: float) -> Illumination:
     return Illumination(ambient, sun, direction, zenith, horizon, haze, headlights, noise)
 
 
+def channels(colour: Colour) -> NDArray[np.float32]:
+    """(3,) a colour to compute with."""
+    return np.asarray(colour, dtype=np.float32)
+
+
 def _scaled(colour: Colour, factor: float) -> Colour:
     blue, green, red = colour
     return blue * factor, green * factor, red * factor

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.scenes.camera import PinholeCamera
-from geoorbit_ros.scenes.render.conditions import Colour, Illumination
+from geoorbit_ros.scenes.render.conditions import Colour, Illumination, channels
 
 TREES_M = 900.0
 """Distance of the wood at the horizon."""
@@ -19,7 +19,7 @@ def add_skyline(
 ) -> None:
     """Draw a wood across the horizon into a picture (H, W, 3)."""
     width, height = camera.image_size
-    column = np.arange(width) + 0.5
+    column = np.arange(width, dtype=np.float64) + 0.5
     base, top = (_row_at(camera, column, z) for z in (0.0, 1.0))
     per_metre = base - top
     random = np.random.default_rng([seed, 22])
@@ -29,9 +29,9 @@ def add_skyline(
     row = np.arange(height)[:, None] + 0.5
     share = np.clip(row - tree[None, :], 0.0, 1.0) * np.clip(base[None, :] - row, 0.0, 1.0)
     clear = np.exp(-TREES_M / light.haze_m)
-    leaves = np.float32(TREE) * (np.float32(light.ambient) + 0.35 * np.float32(light.sun))
+    leaves = channels(TREE) * (channels(light.ambient) + 0.35 * channels(light.sun))
     grain = 1.0 + 0.16 * random.standard_normal((height, width)).astype(np.float32)
-    colour = (leaves * grain[..., None]) * clear + np.float32(light.horizon) * (1.0 - clear)
+    colour = (leaves * grain[..., None]) * clear + channels(light.horizon) * (1.0 - clear)
     picture += (colour.astype(np.float32) - picture) * share[..., None].astype(np.float32)
 
 

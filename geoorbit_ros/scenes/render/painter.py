@@ -143,7 +143,8 @@ def silhouettes(bodies: list[Body | None]) -> Silhouettes:
         if body is None:
             hulls.append(None)
             continue
-        hulls.append(cv2.convexHull(body.pixel.astype(np.float32))[:, 0])
+        hull = cv2.convexHull(body.pixel.astype(np.float32))[:, 0]
+        hulls.append(np.asarray(hull, dtype=np.float32))
         boxes[k] = [*body.pixel.min(axis=0), *body.pixel.max(axis=0)]
     return Silhouettes(hulls, boxes)
 

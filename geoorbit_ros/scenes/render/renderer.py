@@ -11,8 +11,10 @@ from geoorbit_ros.scenes.camera import PinholeCamera
 from geoorbit_ros.scenes.detector_model import View
 from geoorbit_ros.scenes.render.background import make_background
 from geoorbit_ros.scenes.render.conditions import Conditions, illumination
+from geoorbit_ros.scenes.render.headlights import Headlights
 from geoorbit_ros.scenes.render.occlusion import draw_order, visible_shares
 from geoorbit_ros.scenes.render.painter import Body, Painter, silhouettes
+from geoorbit_ros.scenes.render.rain import Rain
 from geoorbit_ros.scenes.render.road_surface import Roads, surface_of
 from geoorbit_ros.scenes.render.sensor import Sensor
 from geoorbit_ros.scenes.render.shadows import Shadows
@@ -60,6 +62,10 @@ class SceneRenderer:
         self._empty = np.rint(255.0 * background.lit).astype(np.uint8)
         self._painter = Painter(camera, light, seed)
         self._shadows = Shadows(camera, light, wet)
+        self._headlights: Headlights | None = None
+        if light.headlights > 0.0:
+            self._headlights = Headlights(camera, background.albedo, light.headlights, wet)
+        self._rain = Rain(camera.image_size, self.conditions.light, seed) if wet else None
         self._sensor = Sensor(camera.image_size, self.conditions, light.noise, seed)
 
     def render(self, vehicles: View, time_s: float) -> NDArray[np.uint8]:
@@ -95,6 +101,12 @@ class SceneRenderer:
     def _picture(self, vehicles: View, bodies: list[Body], time_s: float) -> NDArray[np.uint8]:
         picture = self._empty.copy()
         self._shadows.darken(picture, bodies, self._sensor.sunshine(time_s))
+        if self._headlights:
+            self._headlights.light_road(picture, bodies)
         for body in bodies:
             self._painter.paint(picture, body, vehicles)
+            if self._headlights:  # now: a nearer vehicle hides the lamps too
+                self._headlights.add_glare(picture, body)
+        if self._rain:
+            picture = self._rain.fall(picture, time_s)
         return self._sensor.expose(picture, time_s)

@@ -70,17 +70,18 @@ class Sensor:
         if x or y:
             shift = np.array([[1.0, 0.0, x], [0.0, 1.0, y]])
             size = picture.shape[1], picture.shape[0]
-            picture = cv2.warpAffine(picture, shift, size, borderMode=cv2.BORDER_REPLICATE)
-        picture = cv2.GaussianBlur(picture, (3, 3), 0.55)
-        picture = cv2.convertScaleAbs(picture, alpha=self.exposure(time_s))
-        height, width = picture.shape[:2]
+            moved = cv2.warpAffine(picture, shift, size, borderMode=cv2.BORDER_REPLICATE)
+            picture = np.asarray(moved, dtype=np.uint8)
+        blurred = cv2.GaussianBlur(picture, (3, 3), 0.55)
+        exposed = cv2.convertScaleAbs(blurred, alpha=self.exposure(time_s))
+        height, width = exposed.shape[:2]
         # Microseconds name the frame: the same time gives the same noise.
         random = np.random.default_rng([self._seed, 25, max(round(time_s * 1e6), 0)])
         row, column = random.integers(0, MARGIN, 2)
         at = slice(row, row + height), slice(column, column + width)
-        cv2.add(picture, self._brighter[at], dst=picture)
-        cv2.subtract(picture, self._darker[at], dst=picture)
-        return np.asarray(picture, dtype=np.uint8)
+        cv2.add(exposed, self._brighter[at], dst=exposed)
+        cv2.subtract(exposed, self._darker[at], dst=exposed)
+        return np.asarray(exposed, dtype=np.uint8)
 
     def _wave(self, row: int, time_s: float) -> float:
         angle = 2.0 * np.pi * time_s / np.array(_PERIODS_S) + self._phase[row]

@@ -62,10 +62,10 @@ class Shadows:
         if not len(rows):
             return
         top, bottom = max(rows[0] - 3, 0), min(rows[-1] + 4, height)
-        cast = cv2.GaussianBlur(cast[top:bottom], (5, 5), 1.1)
-        beneath = cv2.GaussianBlur(beneath[top:bottom], (5, 5), 1.3)
-        left = cv2.LUT(cv2.merge([cast] * 3), self._left.reshape(1, 256, 3))
-        left = cv2.multiply(left, cv2.merge([255 - beneath] * 3), scale=1.0 / 255.0)
+        soft = cv2.GaussianBlur(cast[top:bottom], (5, 5), 1.1)
+        below = cv2.GaussianBlur(255 - beneath[top:bottom], (5, 5), 1.3)
+        left = cv2.LUT(cv2.merge([soft] * 3), self._left.reshape(1, 256, 3))
+        left = cv2.multiply(left, cv2.merge([below] * 3), scale=1.0 / 255.0)
         part = picture[top * COARSE : bottom * COARSE]
         left = cv2.resize(
             left, (width * COARSE, (bottom - top) * COARSE), interpolation=cv2.INTER_LINEAR

@@ -96,7 +96,8 @@ class _Builder:
 
     def face(self, points: list[tuple[float, float, float]], material: Material) -> None:
         """A convex face; its corners run counter-clockwise seen from outside."""
-        corners = np.array(points) * self.size
+        # No patch stands out of the vehicle's box.
+        corners = np.clip(np.array(points), [-0.5, -0.5, 0.0], [0.5, 0.5, 1.0]) * self.size
         normal = np.zeros(3)
         for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
             normal += np.cross(a, b)  # Newell's method
@@ -210,7 +211,7 @@ def _car(b: _Builder, roof: tuple[float, float], belt: tuple[float, float], nose
         (0.5, 0.30, 0.455),
         (0.485, sill, 0.45),
     ]
-    b.prism(body, [D, P, P, P, P, P, D], P)
+    b.prism(body, [P, P, P, P, P, P, P], P)
     _car_ends(b)
     b.part(2)
     inner = 0.40
@@ -288,10 +289,10 @@ def _lorry(b: _Builder, cab_m: float, gap_m: float, axles: tuple[float, ...]) ->
     ]
     shape += [(front, 0.55 * cab_top, 0.47), (0.5, 0.4 * cab_top, 0.47), (0.5, 0.35 / height, 0.47)]
     b.prism(shape, [P, P, P, P, P], P)
-    tilt = 0.25 / length / (0.45 * cab_top)
+    tilt = 0.25 / float(length) / (0.45 * cab_top)
 
     def windscreen(z: float) -> float:
-        return front - tilt * (z - 0.55 * cab_top) + 0.001
+        return float(front - tilt * (z - 0.55 * cab_top))
 
     low, high = 0.60 * cab_top, 0.90 * cab_top
     screen = [(windscreen(low), -0.43, low), (windscreen(low), 0.43, low)]

@@ -102,7 +102,7 @@ def inside(points: Line, strip: Strip) -> NDArray[np.bool_]:
     """Whether points (N, 2) lie in a strip: crossings of a ray towards east, counted."""
     ring = np.concatenate([strip.left_m, strip.right_m[::-1]])
     low, high = ring.min(axis=0), ring.max(axis=0)
-    found = np.all((points >= low) & (points <= high), axis=1)
+    found: NDArray[np.bool_] = np.all((points >= low) & (points <= high), axis=1)
     some = np.flatnonzero(found)
     if len(some) == 0:
         return found

@@ -30,9 +30,11 @@ class GroundNoise:
         # Each scale has its own direction, or the lattice would show.
         turn = 2.4 * np.log(wavelength_m)
         cos, sin = np.float32(np.cos(turn)), np.float32(np.sin(turn))
-        x, y = ground_m[..., 0], ground_m[..., 1]
+        x: Values = ground_m[..., 0]
+        y: Values = ground_m[..., 1]
         pitch = np.float32(0.5 * wavelength_m)
-        value = self._at((cos * x - sin * y) / pitch, (sin * x + cos * y) / pitch)
+        turned = (cos * x - sin * y) / pitch, (sin * x + cos * y) / pitch
+        value = self._at(*(np.asarray(axis, dtype=np.float32) for axis in turned))
         share = pitch / np.maximum(footprint_m, np.float32(1e-3))
         return value * np.minimum(share, np.float32(1.0))
 
