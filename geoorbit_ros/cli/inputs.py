@@ -126,12 +126,9 @@ def load_camera(
     Raises:
         GeoOrbitError: An option, a file or a value in it is wrong.
     """
-    from geoorbit_ros.calibration.control_points import read_control_points
-    from geoorbit_ros.calibration.homography import fit_homography
     from geoorbit_ros.cli.console import status
 
     size = parse_image_size(image_size)
-    origin = parse_datum(datum)
     if (tracks is None) == (bag is None):
         found = "neither" if tracks is None else "both"
         raise ParameterError("options --tracks and --bag", found, "exactly one of them")
@@ -140,11 +137,7 @@ def load_camera(
     for file in (source, calibration):
         if out.exists() and file.exists() and out.samefile(file):
             raise ParameterError("option --out", f"{out}, an input", "another path")
-    points = read_control_points(calibration, origin)
-    if points.datum is None:
-        expected = "--datum LAT,LON: where x_m = y_m = 0 is"
-        raise InputFileError(str(calibration), "control points in metres", expected)
-    homography = fit_homography(points)
+    homography, origin = load_calibration(calibration, datum)
     with status(f"reading {source}"):
         if tracks:
             from geoorbit_ros.storage.track_csv import read_track_csv
@@ -155,9 +148,23 @@ def load_camera(
 
             content = read_track_bag(source, camera_id)
             name, frames = content.camera_id, content.frames
-    return CameraInput(
-        camera_id or name, source, calibration, frames, homography, points.datum, size
-    )
+    return CameraInput(camera_id or name, source, calibration, frames, homography, origin, size)
+
+
+def load_calibration(calibration: Path, datum: str | None) -> tuple[Homography, Datum]:
+    """The road plane of a file of control points, and the origin of its map frame.
+
+    Raises:
+        GeoOrbitError: The file, a value in it or the datum is wrong.
+    """
+    from geoorbit_ros.calibration.control_points import read_control_points
+    from geoorbit_ros.calibration.homography import fit_homography
+
+    points = read_control_points(calibration, parse_datum(datum))
+    if points.datum is None:
+        expected = "--datum LAT,LON: where x_m = y_m = 0 is"
+        raise InputFileError(str(calibration), "control points in metres", expected)
+    return fit_homography(points), points.datum
 
 
 def make_mapper(estimator: EstimatorName, update_period_s: float) -> LaneMapper:

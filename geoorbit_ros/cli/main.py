@@ -17,10 +17,12 @@ from geoorbit_ros import __version__
 from geoorbit_ros.cli import bag, database, scene
 from geoorbit_ros.cli.demo import demo
 from geoorbit_ros.cli.lanes import lanes
+from geoorbit_ros.cli.process import process
 from geoorbit_ros.cli.replay import replay
 from geoorbit_ros.cli.report import report
 from geoorbit_ros.cli.score import score
 from geoorbit_ros.cli.status import status
+from geoorbit_ros.cli.track import track
 from geoorbit_ros.cli.up import up
 from geoorbit_ros.core.errors import GeoOrbitError
 
@@ -65,7 +67,9 @@ def _options(
 for _name, _command in (
     ("demo", demo),
     ("lanes", lanes),
+    ("process", process),
     ("replay", replay),
+    ("track", track),
     ("score", score),
     ("report", report),
     ("up", up),

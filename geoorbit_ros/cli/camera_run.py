@@ -1,0 +1,108 @@
+"""Images to ground tracks, keeping what `geoorbit process` writes besides."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.calibration.box_projector import BoxProjector
+from geoorbit_ros.calibration.homography import Homography
+from geoorbit_ros.core.errors import NoTrafficError
+from geoorbit_ros.core.lanes import LaneMap
+from geoorbit_ros.core.tables import FLAG_PREDICTED, PIXEL_TRACK_DTYPE, Frames
+from geoorbit_ros.detection.detector import Detector
+from geoorbit_ros.lanes.mapper import LaneMapper
+from geoorbit_ros.lanes.pipeline import StampedRows
+from geoorbit_ros.report.image_overlay import ImageOverlay
+from geoorbit_ros.storage.frames.source import StampedImage
+from geoorbit_ros.storage.frames.video_writer import VideoWriter
+from geoorbit_ros.tracking.image_tracks import TrackedImage, track_images
+from geoorbit_ros.tracking.parameters import TrackerParameters
+from geoorbit_ros.tracking.tracker import Tracker
+
+
+class WatchedMapper(LaneMapper):
+    """A mapper that remembers its latest map, for the video.
+
+    Attributes:
+        latest: The map of the last update; None before the first.
+    """
+
+    latest: LaneMap | None = None
+
+    def add(self, stamp_ns: int, rows: NDArray[np.void]) -> LaneMap | None:
+        """As `LaneMapper.add`."""
+        renewed = super().add(stamp_ns, rows)
+        self.latest = renewed or self.latest
+        return renewed
+
+
+@dataclass(slots=True)
+class CameraRun:
+    """One camera's images on their way to lanes.
+
+    Attributes:
+        homography: The road plane.
+        detector: Finds vehicles.
+        mapper: Gets the ground tracks from whoever takes them, and is looked at for the video.
+        image_size: (width, height) of the images, (0, 0) before the first.
+        seen: Stamp, detections and tracks of every image so far.
+    """
+
+    homography: Homography
+    detector: Detector
+    mapper: WatchedMapper
+    image_size: tuple[int, int] = (0, 0)
+    seen: list[tuple[int, NDArray[np.void], NDArray[np.void]]] = field(default_factory=list)
+
+    def ground_tracks(
+        self, images: Iterable[StampedImage], video: Path | None = None, fps: float = 25.0
+    ) -> Iterator[StampedRows]:
+        """Stamp and `TRACK_DTYPE` rows of every image.
+
+        Args:
+            images: In time order.
+            video: Also write the annotated video there.
+            fps: Its frame rate.
+
+        Raises:
+            GeoOrbitError: No image, one that can't be used, or control points outside of it.
+        """
+        images = iter(images)
+        first = next(images, None)
+        if first is None:
+            raise NoTrafficError("images", "none", "at least one")
+        width, height = self.image_size = (first[1].shape[1], first[1].shape[0])
+        projector = BoxProjector(self.homography, self.image_size)
+        tracker = Tracker(TrackerParameters(image_width=width, image_height=height))
+        with ExitStack() as files:
+            writer = files.enter_context(VideoWriter(video, fps)) if video else None
+            overlay = ImageOverlay(self.homography)
+            for seen in track_images(chain([first], images), self.detector, tracker):
+                self.seen.append((seen.stamp_ns, seen.detections, seen.tracks))
+                ground = projector.project(seen.stamp_ns, seen.tracks)
+                if writer:
+                    writer.write(self._annotated(overlay, seen, ground))
+                yield seen.stamp_ns, ground
+
+    def track_frames(self) -> Frames:
+        """Observed tracks, of images that have any: predictions have no place in `tracks.csv`."""
+        kept = [(s, t[(t["flags"] & FLAG_PREDICTED) == 0]) for s, _, t in self.seen]
+        kept = [(stamp_ns, rows) for stamp_ns, rows in kept if len(rows)]
+        offset = np.cumsum([0, *(len(rows) for _, rows in kept)], dtype=np.int64)
+        rows = np.concatenate([np.empty(0, PIXEL_TRACK_DTYPE), *(rows for _, rows in kept)])
+        return Frames(np.array([s for s, _ in kept], dtype=np.int64), offset, rows)
+
+    def _annotated(
+        self, overlay: ImageOverlay, seen: TrackedImage, ground: NDArray[np.void]
+    ) -> NDArray[np.uint8]:
+        lane_map, time_s = self.mapper.latest, (seen.stamp_ns - self.seen[0][0]) / 1e9
+        confirmed = sum(lane.status == "confirmed" for lane in lane_map.lanes) if lane_map else 0
+        caption = f"{time_s:6.1f} s   {len(seen.tracks)} vehicles   {confirmed} lanes"
+        return overlay.draw(seen.image, seen.tracks, ground, lane_map, caption)

@@ -1,0 +1,185 @@
+"""What the system sees, drawn into the camera's image: vehicles, their trails, the lanes."""
+
+from __future__ import annotations
+
+import colorsys
+from collections import deque
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.calibration.homography import Homography
+from geoorbit_ros.core.lanes import Lane, LaneMap
+from geoorbit_ros.core.tables import FLAG_PREDICTED
+from geoorbit_ros.report.lane_drawing import direction_groups
+from geoorbit_ros.report.words import compass
+
+Image = NDArray[np.uint8]
+Colour = tuple[int, int, int]
+
+TRAIL_FRAMES = 40
+TRAIL_MAX_AGE_FRAMES = 25
+"""Trails of vehicles that have not been seen for this long are dropped."""
+LANE_OPACITY = 0.35
+_DIRECTIONS: tuple[Colour, ...] = (
+    (230, 170, 60),
+    (70, 160, 250),
+    (120, 200, 90),
+    (200, 110, 200),
+    (80, 220, 230),
+    (150, 150, 250),
+)
+"""Blue, green, red of the lanes, by direction of travel."""
+_WHITE, _GREY, _BLACK = (255, 255, 255), (170, 170, 170), (0, 0, 0)
+_NAMES = {2: "car", 3: "motorcycle", 5: "bus", 7: "truck"}
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+_SHIFT = 4
+"""OpenCV takes pixels as whole numbers of 1/16."""
+
+
+class ImageOverlay:
+    """Draws frame after frame of one camera.
+
+    Args:
+        homography: The road plane.
+    """
+
+    def __init__(self, homography: Homography) -> None:
+        self._homography = homography
+        self._trails: dict[int, deque[NDArray[np.float64]]] = {}
+        self._seen: dict[int, int] = {}
+        self._frame = 0
+        self._lanes_of: LaneMap | None = None
+        self._layer: Image | None = None
+
+    def draw(
+        self,
+        image: Image,
+        tracks: NDArray[np.void],
+        ground: NDArray[np.void],
+        lane_map: LaneMap | None,
+        caption: str,
+    ) -> Image:
+        """A new image with everything drawn into it.
+
+        Args:
+            image: (H, W, 3) uint8 BGR.
+            tracks: `PIXEL_TRACK_DTYPE` of this frame.
+            ground: `TRACK_DTYPE` of this frame, for the speeds.
+            lane_map: The lanes known now.
+            caption: Line in the upper left corner.
+        """
+        self._frame += 1
+        scale = max(image.shape[0] / 720.0, 0.5)
+        drawn = self._with_lanes(image, lane_map, scale)
+        speed = dict(
+            zip(ground["track_id"].tolist(), np.hypot(ground["vx"], ground["vy"]), strict=True)
+        )
+        self._remember(tracks)
+        for track_id, trail in self._trails.items():
+            points = np.array(trail)
+            cv2.polylines(
+                drawn,
+                [_fixed(points)],
+                isClosed=False,
+                color=id_colour(track_id),
+                thickness=max(round(1.5 * scale), 1),
+                lineType=cv2.LINE_AA,
+                shift=_SHIFT,
+            )
+        for row in tracks:
+            _draw_box(drawn, row, speed.get(int(row["track_id"])), scale)
+        _label(drawn, caption, (round(12 * scale), round(28 * scale)), 0.7 * scale, _WHITE)
+        return drawn
+
+    def _remember(self, tracks: NDArray[np.void]) -> None:
+        """Append the middle of each box's lower edge to its trail; forget vehicles long gone."""
+        for row in tracks:
+            if not row["flags"] & FLAG_PREDICTED:
+                key = int(row["track_id"])
+                foot = np.array([row["x"], row["y"] + 0.5 * row["height"]], dtype=np.float64)
+                self._trails.setdefault(key, deque(maxlen=TRAIL_FRAMES)).append(foot)
+                self._seen[key] = self._frame
+        old = [k for k, at in self._seen.items() if self._frame - at > TRAIL_MAX_AGE_FRAMES]
+        for key in old:
+            del self._seen[key], self._trails[key]
+
+    def _with_lanes(self, image: Image, lane_map: LaneMap | None, scale: float) -> Image:
+        """A copy of the image, the road's lanes brightened in the colour of their direction."""
+        if lane_map is None or not lane_map.lanes:
+            return image.copy()
+        if self._layer is None or self._lanes_of is not lane_map:
+            self._lanes_of, self._layer = lane_map, np.zeros_like(image)
+            self._draw_lanes(self._layer, lane_map.lanes, scale)
+        return np.asarray(cv2.addWeighted(image, 1.0, self._layer, LANE_OPACITY, 0.0), np.uint8)
+
+    def _draw_lanes(self, layer: Image, lanes: Sequence[Lane], scale: float) -> None:
+        group = direction_groups(lanes)
+        thin = max(round(scale), 1)
+        for lane in lanes:
+            colour = _DIRECTIONS[group[lane.lane_id] % len(_DIRECTIONS)]
+            outline = self._pixels(np.vstack((lane.left_m, lane.right_m[::-1])), layer)
+            centre = self._pixels(lane.centerline_m, layer)
+            if len(outline) < 3 or len(centre) < 2:
+                continue
+            if lane.status == "confirmed":
+                cv2.fillPoly(layer, [_fixed(outline)], colour, cv2.LINE_AA, _SHIFT)
+            cv2.polylines(layer, [_fixed(outline)], True, _WHITE, thin, cv2.LINE_AA, _SHIFT)
+            self._draw_arrow(layer, lane, scale)
+
+    def _draw_arrow(self, layer: Image, lane: Lane, scale: float) -> None:
+        """An arrow along the direction of travel, with number, direction and width."""
+        x, y, heading = lane.middle
+        middle, step = np.array([x, y]), 3.0 * np.array([np.cos(heading), np.sin(heading)])
+        ends = self._pixels(np.stack((middle - step, middle + step)), layer)
+        if len(ends) == 2:
+            start, tip = (tuple(map(int, np.rint(end))) for end in ends)
+            cv2.arrowedLine(
+                layer, start, tip, _WHITE, max(round(2 * scale), 1), cv2.LINE_AA, 0, 0.4
+            )
+            text = f"{lane.lane_id} {compass(lane.heading_deg)} {lane.width_m:.1f} m"
+            cv2.putText(layer, text, tip, _FONT, 0.5 * scale, _WHITE, max(round(scale), 1), 16)
+
+    def _pixels(self, ground_m: NDArray[np.float64], image: Image) -> NDArray[np.float64]:
+        """(M, 2) pixels of those ground points (N, 2) that lie in or near the image."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            pixel = self._homography.to_pixel(ground_m)
+        size = np.array([image.shape[1], image.shape[0]])
+        near = np.all((pixel > -size) & (pixel < 2 * size), axis=1)  # NaN is not
+        return pixel[near]
+
+
+def id_colour(track_id: int) -> Colour:
+    """A bright colour for each id, far from those of the ids before it (golden angle)."""
+    red, green, blue = colorsys.hsv_to_rgb((0.618034 * track_id) % 1.0, 0.65, 1.0)
+    return round(255 * blue), round(255 * green), round(255 * red)
+
+
+def _draw_box(image: Image, row: np.void, speed_m_s: float | None, scale: float) -> None:
+    predicted = bool(row["flags"] & FLAG_PREDICTED)
+    colour = _GREY if predicted else id_colour(int(row["track_id"]))
+    half = np.array([row["width"], row["height"]]) / 2
+    centre = np.array([row["x"], row["y"]])
+    low, high = np.rint(centre - half).astype(int), np.rint(centre + half).astype(int)
+    corners = (int(low[0]), int(low[1])), (int(high[0]), int(high[1]))
+    thickness = 1 if predicted else max(round(2 * scale), 1)
+    cv2.rectangle(image, *corners, color=colour, thickness=thickness)
+    if predicted:
+        return
+    text = f"{row['track_id']} {_NAMES.get(int(row['class_id']), '')}".strip()
+    if speed_m_s is not None and np.isfinite(speed_m_s):
+        text += f" {3.6 * speed_m_s:.0f} km/h"
+    _label(image, text, (corners[0][0], corners[0][1] - round(4 * scale)), 0.42 * scale, colour)
+
+
+def _label(image: Image, text: str, at: tuple[int, int], size: float, colour: Colour) -> None:
+    """Text that can be read on any ground: OpenCV's font has ASCII only."""
+    for thickness, shade in ((3, _BLACK), (1, colour)):
+        width = max(round(2 * size * thickness), 1)
+        cv2.putText(image, text, at, _FONT, size, shade, width, cv2.LINE_AA)
+
+
+def _fixed(points: NDArray[np.float64]) -> NDArray[np.int32]:
+    return np.asarray(np.rint(points * 2**_SHIFT), np.int32).reshape(-1, 1, 2)
