@@ -60,6 +60,9 @@ class TableStream:
         parameters: Quality of service, and what counts as a restart.
         on_frame: Takes stamp and rows of each frame in order; may raise GeoOrbitError to refuse.
         on_restart: Called before the first frame of a source that started again.
+
+    Attributes:
+        frame_id: Coordinate frame of the latest table.
     """
 
     def __init__(
@@ -73,6 +76,7 @@ class TableStream:
     ) -> None:
         self._node, self._dtype = node, dtype
         self._on_frame, self._on_restart = on_frame, on_restart
+        self.frame_id = ""
         self._order = FrameOrder(parameters.restart_jump_s)
         self._place = node.resolve_topic_name(topic)
         qos = stream_qos(parameters.reliability, parameters.queue_depth)
@@ -90,7 +94,7 @@ class TableStream:
         diagnostics.took(time.perf_counter() - start)
 
     def _handle(self, cdr: bytes) -> None:
-        stamp_ns, _, rows = decode_table(cdr, self._dtype, self._place)
+        stamp_ns, self.frame_id, rows = decode_table(cdr, self._dtype, self._place)
         last_ns = self._order.last_ns or stamp_ns
         verdict = self._order.judge(stamp_ns)
         if verdict is Verdict.LATE:

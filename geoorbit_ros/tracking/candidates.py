@@ -1,0 +1,79 @@
+"""Which detections may continue which tracks, and what each such pair costs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.tracking.motion import MEAN, VARIANCE
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+GATE = 20.0
+"""Squared distance in 1-sigma errors over the four measurements beyond which no pair is considered
+(chi-square with four degrees of freedom: 99.95 %)."""
+TENTATIVE_COST = 4.0
+"""An unconfirmed track must fit this much better than a confirmed one to win a detection."""
+CLASS_COST = 1.5
+"""Cost of another class: detectors call a van a truck now and then, but a person seldom a car."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pairs:
+    """Candidate pairs.
+
+    Attributes:
+        track: (P,) index of the track.
+        detection: (P,) index of the detection.
+        cost: (P,) negative log-likelihood ratio, twice and up to a constant.
+    """
+
+    track: Index
+    detection: Index
+    cost: Array
+
+    def where(self, which: NDArray[np.bool_]) -> Pairs:
+        """Only some of them."""
+        return Pairs(self.track[which], self.detection[which], self.cost[which])
+
+
+def candidate_pairs(
+    predicted: Array,
+    confirmed: NDArray[np.bool_],
+    track_class: NDArray[np.int64],
+    measured: Array,
+    variance: Array,
+    detection_class: NDArray[np.int64],
+) -> Pairs:
+    """Pairs within the gate, with their costs.
+
+    The cost is that of the normal distribution around the prediction: the squared distance plus
+    the logarithm of the spread, so that of two tracks that could explain a detection the one that
+    knows better where it is wins it (a track lost for long claims much of the image).
+
+    Args:
+        predicted: (5, 4, N) states at the time of the detections, see `motion`.
+        confirmed: (N,) whether the track is.
+        track_class: (N,) its class.
+        measured: (4, M) measurements.
+        variance: (4, M) their variances.
+        detection_class: (M,) their classes.
+    """
+    mean, spread = predicted[MEAN], predicted[VARIANCE]
+    # A cheap test first: a pair outside this rectangle is outside the gate.
+    reach = np.sqrt(GATE * spread[:2]), np.sqrt(GATE * variance[:2])
+    near = np.abs(mean[0][:, None] - measured[0]) < reach[0][0][:, None] + reach[1][0]
+    near &= np.abs(mean[1][:, None] - measured[1]) < reach[0][1][:, None] + reach[1][1]
+    track, detection = np.nonzero(near)
+    total = spread[:, track] + variance[:, detection]
+    error = measured[:, detection] - mean[:, track]
+    distance = (error * error / total).sum(axis=0)
+    inside = np.flatnonzero(distance < GATE)
+    track, detection, total = track[inside], detection[inside], total[:, inside]
+    cost = distance[inside] + np.log((total / variance[:, detection]).prod(axis=0))
+    cost += TENTATIVE_COST * ~confirmed[track]
+    cost += CLASS_COST * (track_class[track] != detection_class[detection])
+    return Pairs(track, detection, cost)

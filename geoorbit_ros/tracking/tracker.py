@@ -1,0 +1,257 @@
+"""The tracker: detections of one camera, frame by frame, become tracks with lasting ids.
+
+Two-stage association by confidence is ByteTrack's (Zhang et al. 2022, arXiv:2110.06864); judging by
+the last observation instead of accumulated predictions, and the recovery of vehicles that stand
+where they were last seen, are OC-SORT's (Cao et al. 2023, arXiv:2203.14360, sections 4.1 and 4.3).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.core.errors import TableError
+from geoorbit_ros.core.tables import (
+    DETECTION_DTYPE,
+    FLAG_PREDICTED,
+    FLAG_TRUNCATED,
+    PIXEL_TRACK_DTYPE,
+)
+from geoorbit_ros.tracking.assignment import assign
+from geoorbit_ros.tracking.candidates import Pairs, candidate_pairs
+from geoorbit_ros.tracking.frame_detections import FrameDetections, prepare
+from geoorbit_ros.tracking.motion import MEAN, MotionNoise, correct, predict, start
+from geoorbit_ros.tracking.overlap import overlapping_pairs
+from geoorbit_ros.tracking.parameters import TrackerParameters
+from geoorbit_ros.tracking.track_table import TrackTable
+
+Array = NDArray[np.float64]
+
+PAIR_LIMIT = 40.0
+"""Cost at which a confident detection rather is a new vehicle."""
+WEAK_PAIR_LIMIT = 36.0
+"""Cost at which a weak detection rather is nothing."""
+WEAK_GAP_S = 0.5
+"""Weak detections continue tracks that were observed this recently."""
+RECOVERY_IOU = 0.5
+"""Overlap with the last observed box that a vehicle found standing must have."""
+TENTATIVE_GAP_S = 0.1
+"""An unconfirmed track ends when it is unobserved in two frames and for this long."""
+MAX_TRACKS = 2000
+"""More at once are no traffic; those unobserved longest are dropped."""
+MAX_ID = 2**31 - 1
+
+
+@dataclass(slots=True)
+class TrackerCounts:
+    """What has happened so far.
+
+    Attributes:
+        frames: Frames given.
+        detections: Detections given.
+        unusable: Of these, not finite or without area.
+        weak: Of these, too weak to count.
+        births: Tracks confirmed.
+        deaths: Confirmed tracks that ended.
+        recovered: Confirmed tracks observed again after `predict_s` or more.
+    """
+
+    frames: int = 0
+    detections: int = 0
+    unusable: int = 0
+    weak: int = 0
+    births: int = 0
+    deaths: int = 0
+    recovered: int = 0
+
+
+class Tracker:
+    """Follows all vehicles of one camera at once.
+
+    The result depends on stamps and boxes alone: not on the order of detections within a frame,
+    not on when it is computed. Ids are given in the order of confirmation and never again, also
+    after `reset`.
+
+    Args:
+        parameters: See `TrackerParameters`.
+
+    Attributes:
+        counts: What has happened so far.
+    """
+
+    def __init__(self, parameters: TrackerParameters | None = None) -> None:
+        self._p = parameters or TrackerParameters()
+        self._noise = MotionNoise()
+        self._next_id = self._p.first_id
+        self.counts = TrackerCounts()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all tracks, for a source that starts again; ids go on."""
+        self._tracks = TrackTable()
+        self._stamp_ns: int | None = None
+
+    @property
+    def alive(self) -> int:
+        """Confirmed tracks, unobserved ones included."""
+        return int(np.count_nonzero(self._tracks.track_id))
+
+    @property
+    def lost(self) -> int:
+        """Confirmed tracks that were not observed in the last frame."""
+        tracks = self._tracks
+        return int(np.count_nonzero((tracks.track_id > 0) & (tracks.missed > 0)))
+
+    def update(self, stamp_ns: int, detections: NDArray[np.void]) -> NDArray[np.void]:
+        """Take one frame.
+
+        Args:
+            stamp_ns: Capture time, later than that of the frame before.
+            detections: (M,) `DETECTION_DTYPE`, in any order.
+
+        Returns:
+            `PIXEL_TRACK_DTYPE`, ordered by id: the detection of every confirmed track, and the
+            predicted box, flagged, of those unobserved for at most `predict_s`. The class is the
+            one that the track was given most often.
+
+        Raises:
+            TableError: Rows of another dtype, or a stamp not later than the one before.
+        """
+        self._check(stamp_ns, detections)
+        found = prepare(detections, self._p, self._noise)
+        self._count(detections, found)
+        tracks = self._tracks
+        elapsed_s = tracks.elapsed_s(stamp_ns)
+        predicted = predict(tracks.state, elapsed_s, self._noise)
+        partner = self._associate(predicted, elapsed_s, found)
+        hit = np.flatnonzero(partner >= 0)
+        of_hit = partner[hit]
+        self.counts.recovered += int(
+            np.count_nonzero((elapsed_s[hit] > self._p.predict_s) & (tracks.track_id[hit] > 0))
+        )
+        tracks.missed += 1
+        state = correct(predicted[:, :, hit], found.measured[:, of_hit], found.variance[:, of_hit])
+        tracks.observe(hit, stamp_ns, state, found, of_hit)
+        elapsed_s[hit] = 0.0
+        ended = self._ended(predicted, elapsed_s)
+        predicted = predicted[:, :, ~ended]
+        self._end(ended)
+        self._begin(stamp_ns, found, partner)
+        self._confirm()
+        return self._output(stamp_ns, predicted)
+
+    def _check(self, stamp_ns: int, detections: NDArray[np.void]) -> None:
+        if detections.dtype != DETECTION_DTYPE:
+            raise TableError("detections", detections.dtype.names, f"{DETECTION_DTYPE.names}")
+        if self._stamp_ns is not None and stamp_ns <= self._stamp_ns:
+            found = f"stamp {stamp_ns} ns after {self._stamp_ns} ns"
+            raise TableError("detections", found, "stamps that increase")
+        self._stamp_ns = stamp_ns
+
+    def _count(self, detections: NDArray[np.void], found: FrameDetections) -> None:
+        self.counts.frames += 1
+        self.counts.detections += len(detections)
+        self.counts.unusable += found.unusable
+        self.counts.weak += len(detections) - found.unusable - len(found)
+
+    def _associate(
+        self, predicted: Array, elapsed_s: Array, found: FrameDetections
+    ) -> NDArray[np.intp]:
+        """(N,) detection that continues each track, -1 for none."""
+        tracks = self._tracks
+        partner = np.full(len(tracks), -1, dtype=np.intp)
+        if not len(tracks) or not len(found):
+            return partner
+        pairs = candidate_pairs(
+            predicted,
+            tracks.track_id > 0,
+            tracks.class_id,
+            found.measured,
+            found.variance,
+            found.class_id,
+        )
+        strong = found.score >= self._p.high_score
+        of_strong = strong[pairs.detection]
+        _settle(partner, pairs.where(of_strong), PAIR_LIMIT)
+        open_weak = ~of_strong & (partner[pairs.track] < 0) & (elapsed_s[pairs.track] < WEAK_GAP_S)
+        if open_weak.any():
+            _settle(partner, pairs.where(open_weak), WEAK_PAIR_LIMIT)
+        self._recover(partner, strong, found)
+        return partner
+
+    def _recover(
+        self, partner: NDArray[np.intp], strong: NDArray[np.bool_], found: FrameDetections
+    ) -> None:
+        """Vehicles that stopped unseen: they are where they were last observed."""
+        tracks = self._tracks
+        left = strong.copy()
+        left[partner[partner >= 0]] = False
+        rows = np.flatnonzero((partner < 0) & (tracks.missed > 0) & (tracks.track_id > 0))
+        columns = np.flatnonzero(left)
+        if len(rows) and len(columns):
+            i, j, overlap = overlapping_pairs(tracks.box[:, rows], found.box[:, columns])
+            pairs = Pairs(rows[i], columns[j], 1.0 - overlap)
+            _settle(partner, pairs, 1.0 - RECOVERY_IOU)
+
+    def _confirm(self) -> None:
+        tracks = self._tracks
+        fresh = np.flatnonzero((tracks.track_id == 0) & (tracks.hits >= self._p.confirm_hits))
+        if len(fresh):
+            if self._next_id + len(fresh) - 1 > MAX_ID:
+                self._next_id = 1
+            tracks.track_id[fresh] = self._next_id + np.arange(len(fresh))
+            self._next_id += len(fresh)
+            self.counts.births += len(fresh)
+
+    def _ended(self, predicted: Array, elapsed_s: Array) -> NDArray[np.bool_]:
+        """(N,) which tracks end now."""
+        tracks = self._tracks
+        ended = elapsed_s > self._p.max_gap_s
+        ended |= (tracks.track_id == 0) & (tracks.missed > 1) & (elapsed_s > TENTATIVE_GAP_S)
+        if self._p.image_width:
+            x, y = predicted[MEAN, 0], predicted[MEAN, 1]
+            outside = (x < 0.0) | (x > self._p.image_width) | (y < 0.0) | (y > self._p.image_height)
+            ended |= outside & (tracks.missed > 0)
+        if len(tracks) > MAX_TRACKS:
+            longest = np.argsort(-elapsed_s, kind="stable")
+            ended[longest[: len(tracks) - MAX_TRACKS]] = True
+        return ended
+
+    def _end(self, ended: NDArray[np.bool_]) -> None:
+        if ended.any():
+            self.counts.deaths += int(np.count_nonzero(ended & (self._tracks.track_id > 0)))
+            self._tracks.keep(~ended)
+
+    def _begin(self, stamp_ns: int, found: FrameDetections, partner: NDArray[np.intp]) -> None:
+        free = found.score >= self._p.birth_score
+        free[partner[partner >= 0]] = False
+        new = np.flatnonzero(free)
+        if len(new):
+            state = start(found.box[:, new], self._noise)
+            self._tracks.append(TrackTable.started(stamp_ns, state, found, new))
+
+    def _output(self, stamp_ns: int, predicted: Array) -> NDArray[np.void]:
+        """Rows to publish; `predicted` (5, 4, K) holds the states of the first K tracks."""
+        tracks = self._tracks
+        recent = tracks.elapsed_s(stamp_ns) <= self._p.predict_s
+        shown = np.flatnonzero((tracks.track_id > 0) & ((tracks.missed == 0) | recent))
+        shown = shown[np.argsort(tracks.track_id[shown])]
+        box, flags = tracks.box[:, shown], np.where(tracks.cut[shown], FLAG_TRUNCATED, 0)
+        unseen = np.flatnonzero(tracks.missed[shown])
+        if len(unseen):
+            mean = predicted[MEAN][:, shown[unseen]]
+            box[:2, unseen], box[2:, unseen] = mean[:2], np.exp(mean[2:])
+            flags[unseen] = FLAG_PREDICTED
+        rows = np.empty(len(shown), PIXEL_TRACK_DTYPE)
+        rows["x"], rows["y"], rows["width"], rows["height"] = box
+        rows["score"], rows["class_id"] = tracks.score[shown], tracks.class_id[shown]
+        rows["track_id"], rows["flags"] = tracks.track_id[shown], flags
+        return rows
+
+
+def _settle(partner: NDArray[np.intp], pairs: Pairs, limit: float) -> None:
+    """Write the cheapest assignment of `pairs` into `partner`."""
+    chosen = assign(pairs.track, pairs.detection, pairs.cost, limit)
+    partner[pairs.track[chosen]] = pairs.detection[chosen]
