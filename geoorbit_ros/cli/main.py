@@ -70,7 +70,6 @@ for _name, _command in (
     ("process", process),
     ("replay", replay),
     ("track", track),
-    ("track", track),
     ("score", score),
     ("report", report),
     ("up", up),
