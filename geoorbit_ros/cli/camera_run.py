@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
@@ -20,8 +20,8 @@ from geoorbit_ros.detection.detector import Detector
 from geoorbit_ros.lanes.mapper import LaneMapper
 from geoorbit_ros.lanes.pipeline import StampedRows
 from geoorbit_ros.report.image_overlay import ImageOverlay
+from geoorbit_ros.scenes.render.video import VideoFile
 from geoorbit_ros.storage.frames.source import StampedImage
-from geoorbit_ros.storage.frames.video_writer import VideoWriter
 from geoorbit_ros.tracking.image_tracks import TrackedImage, track_images
 from geoorbit_ros.tracking.parameters import TrackerParameters
 from geoorbit_ros.tracking.tracker import Tracker
@@ -82,7 +82,9 @@ class CameraRun:
         projector = BoxProjector(self.homography, self.image_size)
         tracker = Tracker(TrackerParameters(image_width=width, image_height=height))
         with ExitStack() as files:
-            writer = files.enter_context(VideoWriter(video, fps)) if video else None
+            writer = None
+            if video:
+                writer = files.enter_context(closing(VideoFile(video, fps, self.image_size)))
             overlay = ImageOverlay(self.homography)
             for seen in track_images(chain([first], images), self.detector, tracker):
                 self.seen.append((seen.stamp_ns, seen.detections, seen.tracks))

@@ -20,8 +20,10 @@ Image = NDArray[np.uint8]
 Colour = tuple[int, int, int]
 
 TRAIL_FRAMES = 40
-TRAIL_MAX_AGE_FRAMES = 25
+TRAIL_MAX_AGE_FRAMES = 10
 """Trails of vehicles that have not been seen for this long are dropped."""
+MIN_LABEL_PX = 20.0
+"""Lower boxes, at 720 lines, have no label: far away it would be longer than the vehicle."""
 LANE_OPACITY = 0.35
 _DIRECTIONS: tuple[Colour, ...] = (
     (230, 170, 60),
@@ -166,7 +168,7 @@ def _draw_box(image: Image, row: np.void, speed_m_s: float | None, scale: float)
     corners = (int(low[0]), int(low[1])), (int(high[0]), int(high[1]))
     thickness = 1 if predicted else max(round(2 * scale), 1)
     cv2.rectangle(image, *corners, color=colour, thickness=thickness)
-    if predicted:
+    if predicted or row["height"] < MIN_LABEL_PX * scale:
         return
     text = f"{row['track_id']} {_NAMES.get(int(row['class_id']), '')}".strip()
     if speed_m_s is not None and np.isfinite(speed_m_s):
