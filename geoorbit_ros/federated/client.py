@@ -251,6 +251,9 @@ class FederatedClient:
         if state is None:
             expected = "a whole model first"
             raise PayloadError(Refusal.OTHER_MODEL, DELTA, f"round {delta.round}", expected)
+        if (delta.round, delta.model) == (state.round, state.digest):
+            self._verifier.check(payload, DELTA)  # told again: the update may have been lost
+            return delta.clients, delta.flags
         if delta.round <= state.round:
             found = f"round {delta.round}"
             raise PayloadError(Refusal.OLD_ROUND, DELTA, found, f"round {state.round + 1}")

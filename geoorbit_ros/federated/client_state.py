@@ -10,12 +10,21 @@ from pathlib import Path
 
 import numpy as np
 
-from geoorbit_ros.core.errors import InputFileError
+from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.federated.errors import FederationError
 from geoorbit_ros.federated.layout import ModelLayout, Vector
 from geoorbit_ros.storage.atomic import atomic_output
 
 FORMAT = 1
+_UNREADABLE = (
+    OSError,
+    EOFError,
+    ValueError,
+    KeyError,
+    TypeError,
+    zipfile.BadZipFile,
+    GeoOrbitError,
+)
 
 
 @dataclass(slots=True)
@@ -102,5 +111,5 @@ def read_client_state(path: Path) -> ClientState | None:
             facts["answered_model"],
             bytes.fromhex(facts["update"]),
         )
-    except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile, InputFileError) as error:
+    except _UNREADABLE as error:
         raise FederationError(str(path), error, "a state of meta_client") from None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 
 from geoorbit_ros.federated.client import FederatedClient, LocalResult, Work
-from geoorbit_ros.federated.errors import FederationError, PayloadError
+from geoorbit_ros.federated.errors import FederationError
 from geoorbit_ros.federated.server import FederatedServer
 from geoorbit_ros.federated.traffic import Traffic
 

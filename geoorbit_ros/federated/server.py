@@ -99,6 +99,7 @@ class FederatedServer:
         self.refused: Counter[Refusal] = Counter()
         self._selected: frozenset[int] = frozenset()
         self._wanted = len(self._members)
+        self._deadline_s = math.inf
         self._open(0.0)
 
     @property
@@ -203,8 +204,8 @@ class FederatedServer:
         self._collection: Collection = self._strategy.collection(self.layout.size)
         self._pending: dict[int, int] = {}
         self._loss_sum = self._loss_weight = 0
-        self._opened_s: float = now_s
-        self._deadline_s: float = now_s + self.config.deadline_s
+        self._opened_s = now_s
+        self._deadline_s = now_s + self.config.deadline_s
 
     def _choose(self) -> tuple[int, ...]:
         """Select the clients of the open round; empty: all."""

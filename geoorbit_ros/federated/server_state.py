@@ -13,12 +13,21 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.core.errors import InputFileError
+from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.federated.errors import FederationError
 from geoorbit_ros.federated.layout import ModelLayout, Vector
 from geoorbit_ros.storage.atomic import atomic_output
 
 FORMAT = 1
+_UNREADABLE = (
+    OSError,
+    EOFError,
+    ValueError,
+    KeyError,
+    TypeError,
+    zipfile.BadZipFile,
+    GeoOrbitError,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +132,7 @@ def read_checkpoint(path: Path, layout: ModelLayout) -> ServerState | None:
         facts = json.loads(arrays.pop("facts").tobytes())
         found = ModelLayout(tuple(facts["names"]), tuple(map(tuple, facts["shapes"])))
         state = _state(facts, arrays)
-    except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile, InputFileError) as error:
+    except _UNREADABLE as error:
         raise FederationError(str(path), error, "a checkpoint of federated_server") from None
     if found != layout:
         raise FederationError(str(path), found.describe(), layout.describe())

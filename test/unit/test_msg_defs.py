@@ -8,15 +8,19 @@ import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 FOLDER = Path(__file__).parents[2] / "msg_defs"
-PAYLOADS = ("LaneParameters", "GlobalModel", "ClientUpdate")
+PAYLOADS = ("LaneParameters", "GlobalModel", "ModelDelta", "ClientUpdate")
+SCHEMAS = dict(zip(PAYLOADS, ("theta", "model", "delta", "update"), strict=True))
 
 TEXTS = ["smoothing", "angle", ""]
 SAMPLES: dict[str, Any] = {
     "string": "ä name",
     "string[]": TEXTS,
+    "uint8": 255,
     "uint16": 1,
     "uint32": 2**32 - 1,
     "uint64": 2**64 - 1,
+    "float32": 0.5,
+    "uint8[64]": np.arange(64, dtype=np.uint8),
     "uint8[]": np.arange(256, dtype=np.uint8),
     "uint32[]": np.array([2, 1], dtype=np.uint32),
     "float64[]": np.array([10.0, -0.5, 1e-300]),
@@ -37,7 +41,7 @@ def test_each_definition_has_a_payload_and_each_payload_a_definition() -> None:
 def test_schema_and_version_come_first_and_the_signature_last(name: str) -> None:
     fields = declared_fields(name)
     assert fields[:2] == [("string", "schema"), ("uint16", "version")]
-    assert fields[-1] == ("uint8[]", "signature")
+    assert fields[-1] == ("uint8[64]", "signature")
     assert "round" in {field for _, field in fields}
 
 
@@ -47,7 +51,7 @@ def test_a_payload_survives_serialisation(name: str) -> None:
     store = get_typestore(Stores.ROS2_JAZZY)
     store.register(get_types_from_msg((FOLDER / f"{name}.msg").read_text(), full_name))
     message_type = store.types[full_name]
-    assert getattr(message_type, "SCHEMA") == f"geoorbit_ros/{name}"  # noqa: B009
+    assert getattr(message_type, "SCHEMA") == SCHEMAS[name]  # noqa: B009
 
     values = {field: SAMPLES[kind] for kind, field in declared_fields(name)}
     payload = store.serialize_cdr(message_type(**values), full_name)

@@ -1,0 +1,175 @@
+"""Payloads are the CDR of msg_defs/*.msg, byte for byte as rosbags writes it."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from geoorbit_ros.federated import client_update, global_model, model_delta, theta
+from geoorbit_ros.federated.client_update import ClientUpdate
+from geoorbit_ros.federated.envelope import UNSIGNED, schema_of
+from geoorbit_ros.federated.errors import PayloadError, Refusal
+from geoorbit_ros.federated.global_model import GlobalModel
+from geoorbit_ros.federated.layout import ModelLayout
+from geoorbit_ros.federated.model_delta import ModelDelta
+from geoorbit_ros.federated.theta import ThetaPayload
+
+FOLDER = Path(__file__).parents[3] / "msg_defs"
+STORE = get_typestore(Stores.ROS2_JAZZY)
+for _path in sorted(FOLDER.glob("*.msg")):
+    STORE.register(get_types_from_msg(_path.read_text(), f"geoorbit_ros/msg/{_path.stem}"))
+
+U32 = st.integers(0, 2**32 - 1)
+BYTE = st.integers(0, 255)
+TEXT = st.text(max_size=12).filter(lambda text: "\0" not in text)
+LAYOUTS = st.lists(
+    st.tuples(TEXT, st.lists(st.integers(1, 4), max_size=3).map(tuple)),
+    min_size=1,
+    max_size=4,
+    unique_by=lambda pair: pair[0],
+).map(lambda pairs: ModelLayout(*(tuple(part) for part in zip(*pairs, strict=True))))
+CLIENTS = st.lists(U32, max_size=3).map(tuple)
+DATA = st.binary(max_size=40)
+
+
+def by_rosbags(name: str, **fields: Any) -> bytes:
+    kind = f"geoorbit_ros/msg/{name}"
+    message = STORE.types[kind](**fields, signature=np.zeros(64, np.uint8))
+    return bytes(STORE.serialize_cdr(message, kind))
+
+
+@given(BYTE, U32, U32, U32, U32, st.floats(width=32, allow_nan=False), DATA)
+def test_client_update(
+    encoding: int, number: int, model: int, client: int, samples: int, loss: float, data: bytes
+) -> None:
+    update = ClientUpdate(encoding, number, model, client, samples, loss, data)
+    payload = update.unsigned() + UNSIGNED
+    assert payload == by_rosbags(
+        "ClientUpdate",
+        schema="update",
+        version=client_update.VERSION,
+        encoding=encoding,
+        flags=0,
+        round=number,
+        model=model,
+        client=client,
+        sample_count=samples,
+        loss=loss,
+        data=np.frombuffer(data, np.uint8),
+    )
+    assert ClientUpdate.decode(payload) == update
+
+
+@given(BYTE, BYTE, U32, U32, U32, CLIENTS, DATA)
+def test_model_delta(
+    encoding: int,
+    flags: int,
+    number: int,
+    base: int,
+    model: int,
+    clients: tuple[int, ...],
+    data: bytes,
+) -> None:
+    delta = ModelDelta(encoding, flags, number, base, model, clients, data)
+    payload = delta.unsigned() + UNSIGNED
+    assert payload == by_rosbags(
+        "ModelDelta",
+        schema="delta",
+        version=model_delta.VERSION,
+        encoding=encoding,
+        flags=flags,
+        round=number,
+        base=base,
+        model=model,
+        clients=np.array(clients, np.uint32),
+        data=np.frombuffer(data, np.uint8),
+    )
+    assert ModelDelta.decode(payload) == delta
+
+
+@given(BYTE, st.tuples(U32, U32, U32, U32), st.floats(0, 1e3, width=32), CLIENTS, LAYOUTS, DATA)
+def test_global_model(
+    flags: int,
+    numbers: tuple[int, int, int, int],
+    proximal_mu: float,
+    clients: tuple[int, ...],
+    layout: ModelLayout,
+    data: bytes,
+) -> None:
+    model = GlobalModel(2, flags, *numbers, proximal_mu, clients, layout, data)
+    payload = model.unsigned() + UNSIGNED
+    assert payload == by_rosbags(
+        "GlobalModel",
+        schema="model",
+        version=global_model.VERSION,
+        encoding=2,
+        flags=flags,
+        **dict(zip(("run", "round", "model", "interface"), numbers, strict=True)),
+        proximal_mu=proximal_mu,
+        clients=np.array(clients, np.uint32),
+        tensor_names=list(layout.names),
+        tensor_ranks=np.array([len(shape) for shape in layout.shapes], np.uint32),
+        tensor_shapes=np.array([n for shape in layout.shapes for n in shape], np.uint32),
+        data=np.frombuffer(data, np.uint8),
+    )
+    assert GlobalModel.decode(payload) == model
+
+
+@given(
+    TEXT,
+    st.tuples(U32, U32, U32),
+    st.dictionaries(TEXT, st.floats(allow_nan=False, allow_infinity=False), max_size=4),
+)
+def test_lane_parameters(
+    camera_id: str, numbers: tuple[int, int, int], values: dict[str, float]
+) -> None:
+    parameters = ThetaPayload(camera_id, *numbers, values)
+    payload = parameters.unsigned() + UNSIGNED
+    assert payload == by_rosbags(
+        "LaneParameters",
+        schema="theta",
+        version=theta.VERSION,
+        camera_id=camera_id,
+        **dict(zip(("run", "round", "model"), numbers, strict=True)),
+        names=list(values),
+        values=np.array(list(values.values()), np.float64),
+    )
+    assert ThetaPayload.decode(payload) == parameters
+
+
+UPDATE = ClientUpdate(0, 1, 2, 3, 4, 0.5, b"12345678").unsigned() + UNSIGNED
+
+
+@pytest.mark.parametrize("length", range(len(UPDATE)))
+def test_a_payload_cut_anywhere_is_refused(length: int) -> None:
+    with pytest.raises(PayloadError) as refused:
+        ClientUpdate.decode(UPDATE[:length])
+    assert refused.value.reason == Refusal.TRUNCATED
+
+
+@pytest.mark.parametrize(
+    ("payload", "reason", "words"),
+    [
+        (UPDATE + b"\0", Refusal.TOO_LONG, "9 bytes of data"),
+        (UPDATE.replace(b"update", b"delta\0"), Refusal.FOREIGN, "found schema 'delta"),
+        (UPDATE[:16] + b"\x03\0" + UPDATE[18:], Refusal.VERSION, "found version 3"),
+        (UPDATE[:19] + b"\x01" + UPDATE[20:], Refusal.MALFORMED, "flags 1"),
+        (b"\0\0" + UPDATE[2:], Refusal.FOREIGN, ""),
+    ],
+)
+def test_a_wrong_payload_is_refused_with_its_reason(
+    payload: bytes, reason: Refusal, words: str
+) -> None:
+    with pytest.raises(PayloadError) as refused:
+        ClientUpdate.decode(payload)
+    assert refused.value.reason == reason
+    assert words in str(refused.value)
+
+
+def test_the_schema_is_read_without_reading_more() -> None:
+    assert schema_of(UPDATE) == "update"
+    assert schema_of(b"") == schema_of(b"\0\1\0\0\xff\xff\xff\xff") == ""

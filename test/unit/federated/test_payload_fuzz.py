@@ -1,0 +1,172 @@
+"""Any byte string on any parameter topic is refused with a reason, or valid: never a crash."""
+
+import copy
+from collections import Counter
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+from federation_parts import Camera, first_tensors, roster_of, update_of
+from hypothesis import given
+from hypothesis import strategies as st
+
+from geoorbit_ros.federated.admission import Admission
+from geoorbit_ros.federated.client import FederatedClient
+from geoorbit_ros.federated.encodings.factory import make_encoding
+from geoorbit_ros.federated.errors import PayloadError, Refusal
+from geoorbit_ros.federated.keys import Member, Roster, Signer, Verifier
+from geoorbit_ros.federated.server import FederatedServer
+from geoorbit_ros.federated.server_config import ServerConfig
+from geoorbit_ros.federated.theta import ThetaPayload
+from geoorbit_ros.federated.theta_inbox import ThetaInbox
+from geoorbit_ros.lanes.parameters import LaneParameters
+
+CASES_PER_TOPIC = 35_000
+Take = Callable[[bytes], object]
+
+# Unsigned, so that a changed byte is judged by what it says and not by its signature.
+NAMES = ("north", "south", "west")
+CONFIG = ServerConfig(encoding="top_k", rounds=9)
+SERVER = FederatedServer(CONFIG, first_tensors(), Roster(Member(n, None) for n in NAMES))
+WHOLE = SERVER.start(0.0)
+CLIENTS = [
+    FederatedClient(n, Camera.drawn(k).train, encoding=make_encoding(e, 0.3))
+    for k, (n, e) in enumerate(zip(NAMES, ("top_k", "int8", "float32"), strict=True))
+]
+UPDATES = [update for client in CLIENTS if (update := client.answer(WHOLE))]
+THETA = ThetaPayload("north", 5, 6, 7, {"smoothing": 9.5, "angle": 0.25, "width_scale": 1.5})
+
+
+def server_topic() -> tuple[Take, list[bytes]]:
+    admission = Admission(
+        CONFIG,
+        Roster(Member(n, None) for n in NAMES),
+        SERVER.layout.size,
+        asynchronous=False,
+    )
+    state = SERVER._state
+    return (lambda payload: admission.admit(payload, state, frozenset())), UPDATES
+
+
+def client_topic() -> tuple[Take, list[bytes]]:
+    client = FederatedClient("north")
+    client.receive(WHOLE)
+    server = FederatedServer(CONFIG, first_tensors(), Roster(Member(n, None) for n in NAMES))
+    server.start(0.0)
+    delta = [server.receive(update, 0.0) for update in UPDATES][-1]
+    assert delta is not None
+    kept = client._state
+
+    def take(payload: bytes) -> object:
+        client._state = copy.copy(kept)
+        return client.receive(payload)
+
+    return take, [WHOLE, delta]
+
+
+def theta_topic() -> tuple[Take, list[bytes]]:
+    inbox = ThetaInbox("north", Verifier(None, "geoorbit"))
+
+    def take(payload: bytes) -> object:
+        inbox._newest = (THETA.run, THETA.round)
+        return inbox.take(payload, LaneParameters())
+
+    return take, [Signer(None, "geoorbit").seal(THETA.unsigned())]
+
+
+TOPICS = {
+    "client_update": server_topic,
+    "global_model": client_topic,
+    "lane_parameters": theta_topic,
+}
+
+
+def mutations(valid: list[bytes], number: int, seed: int) -> Iterator[bytes]:
+    """Valid payloads with bytes changed, cut, repeated, or nothing but noise."""
+    generator = np.random.default_rng(seed)
+    kinds = generator.integers(0, 6, number)
+    picks = generator.integers(0, len(valid), number)
+    draws = generator.integers(0, 2**32, (number, 3), dtype=np.uint64)
+    special = (0, 1, 0x7F, 0x80, 0xFF)
+    for kind, pick, (a, b, c) in zip(kinds.tolist(), picks.tolist(), draws.tolist(), strict=True):
+        payload = bytearray(valid[pick])
+        at = a % len(payload)
+        if kind == 0:
+            payload[at] ^= 1 << (b % 8)
+        elif kind == 1:
+            payload[at] = special[b % 5]
+        elif kind == 2:  # a length or a number, all of it
+            at = min(a % 96, len(payload) - 4) & ~3
+            payload[at : at + 4] = (c if b % 2 else c % 1000).to_bytes(4, "little")
+        elif kind == 3:
+            del payload[at:]
+        elif kind == 4:
+            payload[at:at] = payload[b % len(payload) :][: c % 40]
+        else:
+            payload = bytearray(generator.bytes(b % 200))
+        yield bytes(payload)
+
+
+@pytest.mark.parametrize("topic", TOPICS)
+def test_a_changed_payload_is_refused_or_valid(topic: str) -> None:
+    take, valid = TOPICS[topic]()
+    for payload in valid:
+        take(payload)
+    outcomes: Counter[str] = Counter()
+    for payload in mutations(valid, CASES_PER_TOPIC, seed=1):
+        try:
+            take(payload)
+            outcomes["valid"] += 1
+        except PayloadError as error:
+            outcomes[error.reason] += 1
+    assert sum(outcomes.values()) == CASES_PER_TOPIC
+    # The cases reach every check that this topic has.
+    expected = {"valid", Refusal.TRUNCATED, Refusal.FOREIGN, Refusal.VERSION, Refusal.TOO_LONG}
+    expected |= {Refusal.SHAPE, Refusal.OLD_ROUND}
+    assert expected <= set(outcomes), outcomes
+    if topic == "client_update":
+        expected = {
+            Refusal.UNKNOWN_SENDER,
+            Refusal.OTHER_MODEL,
+            Refusal.OUT_OF_RANGE,
+            Refusal.NOT_FINITE,
+            Refusal.ENCODING,
+            Refusal.MALFORMED,
+        }
+        assert expected <= set(outcomes), outcomes
+
+
+@pytest.mark.parametrize("topic", TOPICS)
+@given(payload=st.binary(max_size=300))
+def test_noise_is_refused(topic: str, payload: bytes) -> None:
+    take, _ = TOPICS[topic]()
+    with pytest.raises(PayloadError):
+        take(payload)
+
+
+def test_a_payload_of_the_largest_length_costs_no_memory() -> None:
+    take, _ = theta_topic()
+    for name in TOPICS:
+        take, valid = TOPICS[name]()
+        with pytest.raises(PayloadError) as refused:
+            take(valid[0] + bytes((1 << 26) + 1))
+        assert refused.value.reason == Refusal.TOO_LONG
+
+
+def test_a_signature_is_worth_nothing_with_another_byte_before_it() -> None:
+    server = FederatedServer(
+        ServerConfig(federation="test"), first_tensors(), roster_of(NAMES), signer=None
+    )
+    server.start(0.0)
+    size = server.layout.size
+    update = update_of(server, "north", np.zeros(size, np.float32))
+    generator = np.random.default_rng(0)
+    for at in generator.integers(0, len(update), 300).tolist():
+        forged = bytearray(update)
+        forged[at] ^= 1 << int(generator.integers(8))
+        with pytest.raises(PayloadError):
+            server.receive(bytes(forged), 0.0)
+    assert server.refused[Refusal.SIGNATURE] > 100
+    assert server.collected == 0
+    server.receive(update, 0.0)
+    assert server.collected == 1
