@@ -14,6 +14,7 @@ from geoorbit_ros.scenes.render.landscape import add_skyline
 from geoorbit_ros.scenes.render.raster import coverage
 from geoorbit_ros.scenes.render.surface import RoadSurface, Strip, shifted
 from geoorbit_ros.scenes.render.texture import GroundNoise
+from geoorbit_ros.scenes.render.trees import add_trees
 
 LINE_WIDTH_M = 0.18
 HORIZON_M = 4000.0
@@ -36,20 +37,12 @@ class Background:
     """The empty scene.
 
     Attributes:
-        albedo: Colours of the ground without light; 0 in the sky.
-        ground: (H, W) 1 on the ground, 0 in the sky.
-        pavement: (H, W) share of asphalt.
-        distance_m: (H, W) from the camera to the ground, `HORIZON_M` in the sky.
-        lit: The picture in full light.
-        shade: The same with the sun behind something.
+        albedo: Colours of the ground without light; 0 where the sky or a tree is.
+        lit: The picture.
     """
 
     albedo: Picture
-    ground: NDArray[np.float32]
-    pavement: NDArray[np.float32]
-    distance_m: NDArray[np.float32]
     lit: Picture
-    shade: Picture
 
 
 def make_background(
@@ -69,23 +62,20 @@ def make_background(
     _blend(land, np.broadcast_to(channels(PAINT), land.shape), paint)
     if wet:
         land *= (1.0 - 0.28 * pavement)[..., None]
-    add_skyline_seed = seed
-    sky = _sky(camera, light, noise)
     clear = np.exp(-distance / light.haze_m)[..., None]
-    level = channels(light.ambient)
-    sunny = level + channels(light.sun) * np.float32(max(light.sun_direction[2], 0.0))
-    haze = channels(light.horizon)
-
-    def shown(amount: NDArray[np.float32]) -> Picture:
-        picture = land * amount * clear + haze * (1.0 - clear)
-        if wet:
-            picture += _mirror(camera, light, distance, pavement)
-        picture = picture * ground[..., None] + sky * (1.0 - ground[..., None])
-        add_skyline(picture, camera, light, add_skyline_seed)
-        return np.asarray(np.clip(picture, 0.0, 1.0), dtype=np.float32)
-
+    sun = channels(light.sun) * np.float32(max(light.sun_direction[2], 0.0))
+    picture = land * (channels(light.ambient) + sun) * clear
+    picture += channels(light.horizon) * (1.0 - clear)
+    if wet:
+        picture += _mirror(camera, light, distance, pavement)
+    sky = _sky(camera, light, noise)
+    picture = picture * ground[..., None] + sky * (1.0 - ground[..., None])
+    add_skyline(picture, camera, light, seed)
+    hidden = add_trees(picture, camera, light, surface, pavement, seed)
+    bare = ground * (1.0 - hidden)
     return Background(
-        land * ground[..., None], ground, pavement, distance, shown(sunny), shown(level)
+        np.asarray(land * bare[..., None], dtype=np.float32),
+        np.asarray(np.clip(picture, 0.0, 1.0), dtype=np.float32),
     )
 
 

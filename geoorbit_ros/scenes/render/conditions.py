@@ -94,11 +94,11 @@ _DRY: dict[Light, tuple[Colour, Colour, float, Colour, Colour, float, float, flo
         2.6,
     ),
     "night": (
-        (0.105, 0.085, 0.075),
+        (0.165, 0.135, 0.12),
         (0.0, 0.0, 0.0),
         30.0,
-        (0.07, 0.05, 0.04),
-        (0.12, 0.11, 0.12),
+        (0.10, 0.07, 0.06),
+        (0.17, 0.155, 0.16),
         1500.0,
         1.0,
         3.6,
@@ -107,7 +107,7 @@ _DRY: dict[Light, tuple[Colour, Colour, float, Colour, Colour, float, float, flo
 _RAIN_SKY: dict[Light, tuple[Colour, Colour]] = {
     "day": ((0.66, 0.64, 0.62), (0.74, 0.73, 0.71)),
     "dusk": ((0.34, 0.30, 0.28), (0.42, 0.40, 0.40)),
-    "night": ((0.07, 0.06, 0.055), (0.12, 0.115, 0.115)),
+    "night": ((0.11, 0.10, 0.095), (0.17, 0.165, 0.165)),
 }
 
 

@@ -119,10 +119,10 @@ class Headlights:
             kind = "head" if front else "tail"
             if front:
                 level = self._strength * min(1.0, 0.25 + 0.9 * facing**2)
-                radius = self._unit * float(np.clip(1500.0 / distance, 7.0, 46.0)) * level
+                radius = self._unit * float(np.clip(2400.0 / distance, 10.0, 64.0)) * level
             else:
                 level = self._strength * min(1.0, 0.35 + 0.6 * facing)
-                radius = self._unit * float(np.clip(420.0 / distance, 3.5, 15.0)) * level
+                radius = self._unit * float(np.clip(620.0 / distance, 4.5, 20.0)) * level
             self._add_sprite(picture, kind, pixel[k], radius, level)
             if self._wet:
                 self._add_sprite(picture, kind + "_wet", mirrored[k], radius, 0.55 * level)

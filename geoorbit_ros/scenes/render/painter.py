@@ -121,7 +121,10 @@ class Painter:
         mirrored = np.array(light.horizon) + facing * (
             np.array(light.zenith) - np.array(light.horizon)
         )
-        return np.asarray(255.0 * np.clip(albedo * (sky + direct) + gloss * mirrored + glow, 0, 1))
+        colour = albedo * (sky + direct) + gloss * mirrored + glow
+        clear = np.exp(-body.depth_m / light.haze_m)
+        hazy = clear * np.clip(colour, 0.0, 1.0) + (1.0 - clear) * np.array(light.horizon)
+        return np.asarray(255.0 * hazy)
 
     def _material_colours(self, vehicle: int, coco_class: int) -> NDArray[np.float64]:
         key = vehicle, coco_class

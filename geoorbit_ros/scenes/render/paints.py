@@ -34,7 +34,7 @@ CARGO_PAINTS: tuple[tuple[float, Colour], ...] = (
     (0.16, (0.55, 0.56, 0.56)),
 )
 _FIXED: dict[Material, Colour] = {
-    Material.GLASS: (0.10, 0.095, 0.09),
+    Material.GLASS: (0.06, 0.055, 0.05),
     Material.DARK: (0.075, 0.075, 0.075),
     Material.TYRE: (0.085, 0.085, 0.085),
     Material.HEADLIGHT: (0.72, 0.74, 0.74),
@@ -44,7 +44,7 @@ _FIXED: dict[Material, Colour] = {
 }
 _GLOSS: dict[Material, float] = {
     Material.PAINT: 0.08,
-    Material.GLASS: 0.24,
+    Material.GLASS: 0.15,
     Material.HEADLIGHT: 0.10,
     Material.CHROME: 0.05,
 }

@@ -10,7 +10,7 @@ from geoorbit_ros.scenes.render.conditions import Light
 
 MARGIN = 96
 _TILES = 4
-_BRIGHTNESS: dict[Light, tuple[int, int]] = {"day": (10, 34), "dusk": (8, 24), "night": (4, 14)}
+_BRIGHTNESS: dict[Light, tuple[int, int]] = {"day": (6, 20), "dusk": (5, 15), "night": (3, 10)}
 _VEIL: dict[Light, tuple[float, float]] = {
     # Contrast that is left, and the grey that is added.
     "day": (0.86, 22.0),
@@ -62,8 +62,8 @@ def _streaks(
     for _ in range(round(0.0011 * width * height)):
         x, y = random.uniform(0, width), random.uniform(-60, height)
         near = random.uniform() ** 2
-        length = unit * (8.0 + 46.0 * near)
+        length = unit * (6.0 + 30.0 * near)
         level = int(random.integers(*brightness))
         end = round(x + slant * length), round(y + length)
-        cv2.line(layer, (round(x), round(y)), end, level, 1 if near < 0.7 else 2, cv2.LINE_AA)
+        cv2.line(layer, (round(x), round(y)), end, level, 1, cv2.LINE_AA)
     return np.asarray(cv2.merge([cv2.GaussianBlur(layer, (3, 3), 0.6)] * 3), dtype=np.uint8)
