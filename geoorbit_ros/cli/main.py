@@ -24,6 +24,7 @@ from geoorbit_ros.cli.score import score
 from geoorbit_ros.cli.status import status
 from geoorbit_ros.cli.track import track
 from geoorbit_ros.cli.up import up
+from geoorbit_ros.cli.view import view
 from geoorbit_ros.core.errors import GeoOrbitError
 
 EXIT_BAD_INPUT = 2
@@ -74,6 +75,7 @@ for _name, _command in (
     ("report", report),
     ("up", up),
     ("status", status),
+    ("view", view),
 ):
     app.command(_name)(_command)
 app.add_typer(scene.app, name="scene")

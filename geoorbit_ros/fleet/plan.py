@@ -97,6 +97,9 @@ def plan_nodes(fleet: Fleet, base: Path, output: Path) -> tuple[ProcessPlan, ...
         plans.append(
             ProcessPlan(TWIN, (NodePlan("sumo_bridge", "", wiring | fleet.twin.parameters),))
         )
+    if fleet.viewer and fleet.viewer.enabled:
+        where: dict[str, Value] = {"host": fleet.viewer.host, "port": fleet.viewer.port}
+        plans.append(ProcessPlan(VIEWER, (NodePlan("viewer", "", where),)))
     plans += [ProcessPlan(c.id, tuple(camera_nodes(c, fleet, base, output))) for c in cameras]
     return tuple(plans)
 

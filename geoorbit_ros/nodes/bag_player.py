@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
@@ -22,6 +23,7 @@ from geoorbit_ros.nodes.latched import LATCHED
 from geoorbit_ros.nodes.process import run_node
 from geoorbit_ros.nodes.table_stream import stream_qos
 from geoorbit_ros.storage.bag_reader import bag_messages, describe_bag
+from geoorbit_ros.storage.looping import endless
 from geoorbit_ros.storage.playback import Playback, rename_camera
 
 TICK_S = 0.005
@@ -96,8 +98,10 @@ class BagPlayerNode(GeoOrbitNode[BagPlayerParameters]):
 
     def _begin(self) -> None:
         p = self.p
-        messages = bag_messages(p.bag, tuple(self.topics))
-        self._playback = Playback(messages, p.rate, p.max_gap_s, p.start_offset_s)
+        read = partial(bag_messages, p.bag, tuple(self.topics))
+        self._playback = Playback(
+            endless(read) if p.loop else read(), p.rate, p.max_gap_s, p.start_offset_s
+        )
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self.paused = request.data
@@ -125,9 +129,6 @@ class BagPlayerNode(GeoOrbitNode[BagPlayerParameters]):
 
     def _end(self) -> None:
         self._finished_topic.publish(UInt64(data=self.diagnostics.published))
-        if self.p.loop:
-            self._begin()
-            return
         self.get_logger().info(f"{self.p.bag}: played {self.diagnostics.published} messages")
         self.finished, self.done = True, self.p.exit_when_done
 

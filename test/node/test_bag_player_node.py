@@ -112,12 +112,20 @@ def test_another_camera_name_an_offset_and_chosen_topics(
     probe.until(lambda: len(heard) == len(camera.frames) - left_out, "the rest")
 
 
-def test_a_loop_begins_again(nodes: Composition, camera: MadeUpCamera) -> None:
-    probe = Probe(nodes)
-    heard = listen_raw(probe, "tracks_px")
+def test_a_loop_begins_again_with_stamps_that_go_on(
+    nodes: Composition, camera: MadeUpCamera
+) -> None:
+    probe, count = Probe(nodes), len(camera.frames)
+    heard = probe.listen_tables("tracks_px", PIXEL_TRACK_DTYPE)
     node = start(nodes, camera, loop=True)
-    probe.until(lambda: len(heard) > 2 * len(camera.frames), "the third round")
-    assert heard[: len(camera.frames)] == heard[len(camera.frames) : 2 * len(camera.frames)]
+    probe.until(lambda: len(heard) > 2 * count, "the third round")
+    stamps = np.array([stamp_ns for stamp_ns, _, _ in heard])
+    assert np.all(np.diff(stamps) > 0)
+    period_ns = stamps[count] - stamps[0]
+    assert np.all(stamps[count : 2 * count] - stamps[:count] == period_ns)
+    assert period_ns > camera.frames.stamp_ns[-1] - camera.frames.stamp_ns[0]
+    for (_, _, first), (_, _, second) in zip(heard[:count], heard[count:], strict=False):
+        assert first.tobytes() == second.tobytes()
     assert not node.done
 
 

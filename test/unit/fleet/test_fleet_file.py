@@ -122,14 +122,14 @@ def test_files_that_are_not_there_are_named_all_at_once(tmp_path: Path) -> None:
     (tmp_path / "north_bag").mkdir()
     for name in ("north.csv", "south.csv", "roads.net.xml"):
         (tmp_path / name).touch()
-    assert len(plan_fleet(fleet, tmp_path, tmp_path / "out")) == 4
+    assert len(plan_fleet(fleet, tmp_path, tmp_path / "out")) == 5
 
 
 def test_each_camera_is_one_process_and_services_start_first(tmp_path: Path) -> None:
     fleet, _ = load_fleet(write(tmp_path, GOOD))
     plans = plan_nodes(fleet, tmp_path, tmp_path / "out")
-    assert [plan.name for plan in plans] == ["federated_server", "twin", "north", "south"]
-    north, south = ({n.executable: n for n in plan.nodes} for plan in plans[2:])
+    assert [plan.name for plan in plans] == ["federated_server", "twin", "viewer", "north", "south"]
+    north, south = ({n.executable: n for n in plan.nodes} for plan in plans[3:])
     assert "bag_player" in north and "camera" not in north
     assert {"camera", "detector", "tracker"} <= set(south)
     assert all(node.namespace == "north" for node in north.values())
@@ -140,7 +140,7 @@ def test_each_camera_is_one_process_and_services_start_first(tmp_path: Path) -> 
 
 def test_readers_start_before_writers(tmp_path: Path) -> None:
     fleet, _ = load_fleet(write(tmp_path, GOOD))
-    for plan in plan_nodes(fleet, tmp_path, tmp_path)[2:]:
+    for plan in plan_nodes(fleet, tmp_path, tmp_path)[3:]:
         order = [CAMERA_NODES.index(n.executable) for n in plan.nodes if n.executable in WAY]
         assert order == sorted(order, reverse=True)
 
@@ -150,6 +150,7 @@ WAY = ("bag_player", "camera", "detector", "tracker", "homography", "lane_geomet
 
 def test_disabled_parts_are_left_out(tmp_path: Path) -> None:
     text = GOOD.replace("federated_server: {}", "federated_server: {enabled: false}")
+    text = text.replace("port: 8765", "enabled: false")
     text = text.replace("network: roads.net.xml", "network: roads.net.xml, enabled: false")
     text = text.replace("calibration: south.csv", "calibration: south.csv\n    enabled: false")
     fleet, _ = load_fleet(write(tmp_path, text))
@@ -164,7 +165,7 @@ def test_only_selects_and_names_what_there_is(tmp_path: Path) -> None:
     plans = plan_nodes(fleet, tmp_path, tmp_path)
     assert [plan.name for plan in select(plans, ["north"])] == ["north"]
     assert select(plans, []) == plans
-    with pytest.raises(FleetPlanError, match="one of federated_server, twin, north, south"):
+    with pytest.raises(FleetPlanError, match="one of federated_server, twin, viewer, north, south"):
         select(plans, ["west"])
 
 

@@ -1,0 +1,1 @@
+"""What viewers see: the graph's messages over Foxglove's WebSocket protocol."""
