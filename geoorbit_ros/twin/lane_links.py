@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.twin.network import NONE, RoadNetwork
 
-LANE_CHANGE = 3.0
+LANE_CHANGE = 1.5
 """e^-3 per step of 0.1 s would be a change every two seconds: with the observations' persistence
 taken into account it makes a change certain within half a second of crossing the line."""
 BACKWARDS = 1.0

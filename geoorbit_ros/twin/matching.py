@@ -18,7 +18,7 @@ from geoorbit_ros.twin.lane_index import CANDIDATES, LaneIndex
 from geoorbit_ros.twin.lane_links import LaneLinks
 from geoorbit_ros.twin.network import NONE, RoadNetwork
 
-LATERAL_SIGMA_M = 0.8
+LATERAL_SIGMA_M = 0.6
 """Drivers keep within 0.3 m of their own line, which is 0.2 m off the middle; maps and cameras add
 theirs. Errors of one vehicle last for seconds, and so one observation must not count for much."""
 SIGMA_SHARE = 0.15
@@ -31,7 +31,7 @@ ENTRY_M = 4.0
 IMPOSSIBLE = -1e6
 FORGET = 12.0
 """Cost of the worst hypothesis that is kept: a lane that was ruled out can come back."""
-MARGIN = 0.5
+MARGIN = 0.3
 """A lane becomes the vehicle's when it beats the present one by this: hysteresis."""
 
 
@@ -66,12 +66,15 @@ class LaneMatcher:
         self._lane = np.full((capacity, CANDIDATES), NONE, dtype=np.int64)
         self._score = np.zeros((capacity, CANDIDATES))
         self._cost = np.zeros((capacity, CANDIDATES, CANDIDATES))
+        # Whether `_cost` is that of staying among the same lanes, and so can be used again.
+        self._steady = np.zeros(capacity, dtype=np.bool_)
         self._best = np.full(capacity, NONE, dtype=np.int64)
 
     def forget(self, slot: NDArray[np.int64]) -> None:
         """Vehicles in these slots are new ones."""
         self._reserve(int(slot.max(initial=-1)) + 1)
         self._lane[slot] = NONE
+        self._steady[slot] = False
         self._best[slot] = NONE
 
     def on_road(self, xy: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -119,10 +122,12 @@ class LaneMatcher:
 
     def _prior(self, slot: NDArray[np.int64], lane: NDArray[np.int64]) -> NDArray[np.float64]:
         """(M, C) what the past says about lanes (M, C) of now."""
-        changed = (self._lane[slot] != lane).any(axis=1)
-        if changed.any():
-            at = slot[changed]
-            self._cost[at] = self._links.cost(self._lane[at], lane[changed])
+        same = (self._lane[slot] == lane).all(axis=1)
+        outdated = ~(same & self._steady[slot])
+        if outdated.any():
+            at = slot[outdated]
+            self._cost[at] = self._links.cost(self._lane[at], lane[outdated])
+            self._steady[slot] = same
         return np.asarray(
             np.max(np.maximum(self._score[slot], -FORGET)[:, :, None] - self._cost[slot], axis=1)
         )
@@ -134,6 +139,7 @@ class LaneMatcher:
         self._lane = np.concatenate([self._lane, np.full((more, CANDIDATES), NONE)])
         self._score = np.concatenate([self._score, np.zeros((more, CANDIDATES))])
         self._cost = np.concatenate([self._cost, np.zeros((more, CANDIDATES, CANDIDATES))])
+        self._steady = np.append(self._steady, np.zeros(more, dtype=np.bool_))
         self._best = np.append(self._best, np.full(more, NONE))
 
 
