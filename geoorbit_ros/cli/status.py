@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from geoorbit_ros.fleet.health import Row
+    from geoorbit_ros.nodes.composition import Composition
+    from geoorbit_ros.nodes.status_listener import StatusListener
 
 LISTEN_S = 3.0
 """`--once` listens this long: discovery takes two seconds, every node speaks once a second."""
@@ -71,25 +73,22 @@ def status(
         _watch(nodes, listener, expected)
 
 
-def _watch(nodes: object, listener: object, expected: Mapping[str, Sequence[str]] | None) -> None:
+def _watch(
+    nodes: Composition, listener: StatusListener, expected: Mapping[str, Sequence[str]] | None
+) -> None:
     from rich.live import Live
 
     from geoorbit_ros.cli.console import console
+    from geoorbit_ros.cli.interrupt import told_to_end
     from geoorbit_ros.fleet.health import rows
-    from geoorbit_ros.nodes.composition import Composition
-    from geoorbit_ros.nodes.status_listener import StatusListener
 
-    assert isinstance(nodes, Composition) and isinstance(listener, StatusListener)
     drawn = 0.0
-    try:
-        with Live(console=console, auto_refresh=False) as live:
-            while True:
-                nodes.spin()
-                if time.monotonic() - drawn >= REDRAW_S:
-                    live.update(_tables(*rows(listener.reports(), expected)), refresh=True)
-                    drawn = time.monotonic()
-    except KeyboardInterrupt:
-        return
+    with told_to_end() as end, Live(console=console, auto_refresh=False) as live:
+        while not end.is_set():
+            nodes.spin()
+            if time.monotonic() - drawn >= REDRAW_S:
+                live.update(_tables(*rows(listener.reports(), expected)), refresh=True)
+                drawn = time.monotonic()
 
 
 def _domain(domain_id: int | None) -> int:

@@ -43,19 +43,23 @@ def up(
 
     Example: [bold]geoorbit up demo[/bold]
     """
-    from geoorbit_ros.cli.console import console
-    from geoorbit_ros.fleet.calibration import write_scene_calibrations
+    from geoorbit_ros.cli.console import console, status
+    from geoorbit_ros.cli.interrupt import told_to_end
     from geoorbit_ros.fleet.fleet_file import load_fleet
     from geoorbit_ros.fleet.plan import plan_fleet, select
+    from geoorbit_ros.fleet.sources import ask_sources
     from geoorbit_ros.fleet.supervisor import Supervisor
 
     content, file = load_fleet(fleet)
     folder = (out or Path("out") / content.name).absolute()
-    plans = select(plan_fleet(content, file.parent.absolute(), folder), only or [])
+    base = file.parent.absolute()
+    plans = select(plan_fleet(content, base, folder), only or [])
     if dry_run:
         _print_plan(content, plans, folder)
         return
-    write_scene_calibrations(content, folder)
+    with status("looking at the cameras"):
+        content = ask_sources(content, base, folder)
+    plans = select(plan_fleet(content, base, folder), only or [])
     began = time.monotonic()
 
     def say(name: str, text: str) -> None:
@@ -69,18 +73,19 @@ def up(
     console.print(f"Fleet {content.name}: {len(plans)} processes, ROS domain {domain}, logs in")
     console.print(f"{folder / 'logs'}. Ctrl-C ends it; `geoorbit status {fleet}` shows it.")
     announced = False
-    try:
-        while duration_s is None or time.monotonic() - began < duration_s:
-            supervisor.step(STEP_S)
-            if supervisor.all_running and not announced:
-                announced = True
-                say("fleet", f"all {len(plans)} processes run")
-    except KeyboardInterrupt:
-        console.print("Stopping …")
-    finally:
-        ending = time.monotonic()
-        supervisor.stop()
-        say("fleet", f"stopped in {time.monotonic() - ending:.1f} s")
+    with told_to_end() as end:
+        try:
+            while not end.is_set():
+                if duration_s is not None and time.monotonic() - began > duration_s:
+                    break
+                supervisor.step(STEP_S)
+                if supervisor.all_running and not announced:
+                    announced = True
+                    say("fleet", f"all {len(plans)} processes run")
+        finally:
+            ending = time.monotonic()
+            supervisor.stop()
+            say("fleet", f"stopped in {time.monotonic() - ending:.1f} s")
 
 
 def _print_plan(fleet: Fleet, plans: Sequence[ProcessPlan], folder: Path) -> None:

@@ -48,12 +48,13 @@ def view(
     Example: [bold]geoorbit view --bag bags/demo/bag --calibration bags/demo/calibration.csv[/bold]
     """
     from geoorbit_ros.cli.console import console
+    from geoorbit_ros.cli.interrupt import told_to_end
     from geoorbit_ros.nodes.composition import Composition
     from geoorbit_ros.nodes.viewer import ViewerNode
 
     if bag is None and domain_id is None:
         domain_id = int(os.environ.get("ROS_DOMAIN_ID", "0"))
-    with Composition(domain_id, quiet=True) as nodes:
+    with told_to_end() as end, Composition(domain_id, quiet=True) as nodes:
         if bag is not None:
             _add_bag(nodes, bag, calibration, camera_id, image_size)
         settings = {"host": host, "port": port, "topics": topics}
@@ -63,11 +64,8 @@ def view(
             _write_layout(nodes, viewer, layout)
             console.print(f"Layout:  {layout}")
         console.print("Ctrl-C ends it.")
-        try:
-            while True:
-                nodes.spin()
-        except KeyboardInterrupt:
-            return
+        while not end.is_set():
+            nodes.spin()
 
 
 def _write_layout(nodes: Composition, viewer: ViewerNode, file: Path) -> None:

@@ -49,7 +49,8 @@ class Camera(StrictModel):
             made-up camera, or `bag:FOLDER` for recorded boxes.
         calibration: Control points, a CSV file. A `scene:` camera brings its own.
         model: ONNX file of a detector; none: moving objects are detected.
-        image_size: Width and height in pixels, of a bag's boxes; images tell it themselves.
+        image_size: Width and height in pixels; files and scenes tell it themselves, for a stream it
+            must be given, for a bag it is 1920 x 1080 unless given.
         datum: Origin of its map; default: the middle of its control points.
         position: Where it stands, for maps.
         enabled: Whether it is started.
@@ -60,7 +61,7 @@ class Camera(StrictModel):
     source: str = Field(min_length=1)
     calibration: Path | None = None
     model: Path | None = None
-    image_size: tuple[Pixels, Pixels] = (1920, 1080)
+    image_size: tuple[Pixels, Pixels] | None = None
     datum: Position | None = None
     position: Position | None = None
     enabled: bool = True
@@ -81,6 +82,8 @@ class Camera(StrictModel):
             raise WrongValue(("source",), repr(self.source), wanted)
         if self.kind != "scene" and self.calibration is None:
             raise WrongValue(("calibration",), "nothing", "a CSV file of control points")
+        if self.kind == "stream" and self.image_size is None:
+            raise WrongValue(("image_size",), "nothing", "[width, height] of the stream's images")
         if self.kind == "bag" and self.model is not None:
             found = f"'{self.model}' beside recorded boxes"
             raise WrongValue(("model",), found, "no model, or a source with images")

@@ -10,6 +10,7 @@ from pathlib import Path
 from geoorbit_ros.core.errors import GeoOrbitError, InputFileError
 from geoorbit_ros.fleet.fleet_file import Camera, Fleet, Value
 
+BAG_IMAGE_SIZE = (1920, 1080)
 SERVER, TWIN, VIEWER = "federated_server", "twin", "viewer"
 """Names of the processes that are no camera's; no camera may be called so."""
 
@@ -106,7 +107,7 @@ def plan_nodes(fleet: Fleet, base: Path, output: Path) -> tuple[ProcessPlan, ...
 
 def camera_nodes(camera: Camera, fleet: Fleet, base: Path, output: Path) -> Iterable[NodePlan]:
     """The nodes of one camera, readers before writers: nothing is sent before it can be heard."""
-    width, height = camera.image_size
+    width, height = camera.image_size or BAG_IMAGE_SIZE
     size: dict[str, Value] = {"image_width": width, "image_height": height}
     ground: dict[str, Value] = {"calibration_file": str(calibration_file(camera, base, output))}
     if camera.datum:
@@ -123,12 +124,19 @@ def camera_nodes(camera: Camera, fleet: Fleet, base: Path, output: Path) -> Iter
     wiring["homography"] = ground | size
     if camera.kind == "bag":
         bag = str(base / camera.source.partition(":")[2])
-        wiring["bag_player"] = {"bag": bag, "loop": True, "camera_id": camera.id}
+        wiring["bag_player"] = {
+            "bag": bag,
+            "loop": True,
+            "camera_id": camera.id,
+            "publish_clock": False,
+        }
     else:
         model = str(base / camera.model) if camera.model else ""
         wiring["tracker"] = {}
         wiring["detector"] = {"model": model}
         wiring["camera"] = {"source": image_source(camera, base)}
+        if camera.kind != "stream":
+            wiring["camera"] |= {"loop": True}
     for executable, values in wiring.items():
         merged = values | camera.parameters.get(executable, {})
         yield NodePlan(executable, camera.id, merged)

@@ -38,6 +38,11 @@ class SceneFrames(FrameSource):
             `duration` in seconds, `fps`, `size` as `1280x720`, and those of `Conditions`.
         options: Only `start_ns` concerns it.
 
+    Attributes:
+        image_size: Width and height.
+        control_points: Surveyed points with their pixels in these images.
+        datum: Origin of the control points' map frame.
+
     Raises:
         GeoOrbitError: No such scene, or a setting that can't be used.
     """
@@ -54,6 +59,8 @@ class SceneFrames(FrameSource):
         self._scene: Scene = load_scene(name)
         first = self._render()
         self.fps, self.frame_count = first.fps, first.frame_count
+        self.image_size, self.datum = first.camera.image_size, first.datum
+        self.control_points = first.control_points
         self._ready: RenderedScene | None = first
 
     def __iter__(self) -> Iterator[StampedImage]:

@@ -30,6 +30,7 @@ cameras:
   - id: south
     source: rtsp://camera.example/south
     calibration: south.csv
+    image_size: [1280, 720]
 federated_server: {}
 twin: {network: roads.net.xml}
 recorder: {folder: databases}
@@ -47,7 +48,7 @@ def test_a_fleet_is_read_with_its_defaults(tmp_path: Path) -> None:
     fleet, file = load_fleet(write(tmp_path, GOOD))
     assert [camera.id for camera in fleet.cameras] == ["north", "south"]
     assert [camera.kind for camera in fleet.cameras] == ["bag", "stream"]
-    assert fleet.cameras[1].image_size == (1920, 1080)
+    assert fleet.cameras[1].image_size == (1280, 720)
     assert fleet.twin and fleet.twin.enabled
     assert file.parent == tmp_path
 
@@ -69,6 +70,7 @@ WRONG = [
     ("    calibration: south.csv\n", "", "key 'cameras[1].calibration'", "control points"),
     ("[1920, 1080]", "[1920]", "line 7, key 'cameras[0].image_size", "expected"),
     ("[1920, 1080]", "[1920, 0]", "line 7, key 'cameras[0].image_size[1]'", "16"),
+    ("    image_size: [1280, 720]\n", "", "key 'cameras[1].image_size'", "[width, height]"),
     ("latitude_deg: 43.0", "latitude_deg: 143.0", "line 8", "90"),
     ("latitude_deg: 43.0", "latitude_deg: .nan", "line 8", "a finite number"),
     ("latitude_deg: 43.0", "latitude: 43.0", "line 8", "'latitude_deg'?"),
@@ -78,10 +80,10 @@ WRONG = [
     ("update_period_s: 2", "update_period_s: -1", "line 10", "from 0.1"),
     ("calibration: south.csv", "calibration: 3", "line 13", "path"),
     ("network: roads.net.xml", "parameters: {}", "key 'twin.network'", "expected"),
-    ("federated_server: {}", "federated_server: {rounds: 3}", "line 14", "a key that fleet"),
-    ("federated_server: {}", "federated_server: 3", "line 14", "expected"),
-    ("port: 8765", "port: 0", "line 17, key 'viewer.port'", "1"),
-    ("port: 8765", "prt: 8765", "line 17, key 'viewer.prt'", "'port'?"),
+    ("federated_server: {}", "federated_server: {rounds: 3}", "line 15", "a key that fleet"),
+    ("federated_server: {}", "federated_server: 3", "line 15", "expected"),
+    ("port: 8765", "port: 0", "line 18, key 'viewer.port'", "1"),
+    ("port: 8765", "prt: 8765", "line 18, key 'viewer.prt'", "'port'?"),
     ("  - id: north", "  - [id: north", "line", "a fleet file"),
 ]
 
