@@ -80,6 +80,9 @@ class Stream(FrameSource):
                 round(1e3 * options.open_timeout_s),
                 cv2.CAP_PROP_READ_TIMEOUT_MSEC,
                 round(1e3 * options.stall_timeout_s),
+                # With several threads FFmpeg holds back a frame for each of them.
+                cv2.CAP_PROP_N_THREADS,
+                1,
             ),
         )
         try:
