@@ -79,28 +79,27 @@ def start(box: Array, noise: MotionNoise) -> Array:
 def predict(state: Array, elapsed_s: Array, noise: MotionNoise) -> Array:
     """(5, 4, N) states `elapsed_s` (N,) after the observations that `state` (5, 4, N) is of."""
     growth = state[RATE, 2:]
+    per_side = np.empty((4, len(elapsed_s)))
     # Of both sides' growth, the mean: noise halves, and a turning vehicle's width says little.
-    shared = 0.5 * (growth[0] + growth[1])
-    stretch = np.empty((4, len(elapsed_s)))
-    stretch[:2] = 1.0 / (1.0 - np.minimum(shared * elapsed_s, MAX_APPROACH))
-    stretch[2:] = 1.0
-    step = stretch * elapsed_s
-    pace = stretch * stretch
+    per_side[:2] = 0.5 * (growth[0] + growth[1])
+    per_side[2:] = growth
+    left = 1.0 - np.minimum(per_side * elapsed_s, MAX_APPROACH)
+    step, pace = elapsed_s / left, 1.0 / (left * left)
     intensity = np.empty_like(step)
     intensity[:2] = noise.acceleration**2 * np.exp(state[MEAN, 2] + state[MEAN, 3])
     intensity[2:] = noise.growth**2
     drift = intensity * step
+    carried = state[COVARIANCE] + step * state[RATE_VARIANCE]
     after = np.empty_like(state)
-    rate_variance = state[RATE_VARIANCE]
-    carried = state[COVARIANCE] + step * rate_variance
-    after[MEAN] = state[MEAN] + step * state[RATE]
-    after[MEAN, 2:] = state[MEAN, 2:] - np.log1p(-np.minimum(growth * elapsed_s, MAX_APPROACH))
-    after[RATE] = pace * state[RATE]
+    after[MEAN, :2] = state[MEAN, :2] + step[:2] * state[RATE, :2]
+    after[MEAN, 2:] = state[MEAN, 2:] - np.log(left[2:])
+    after[RATE, :2] = pace[:2] * state[RATE, :2]
+    after[RATE, 2:] = growth / left[2:]
     after[VARIANCE] = (
         state[VARIANCE] + step * (state[COVARIANCE] + carried) + drift * step * step / 3.0
     )
     after[COVARIANCE] = pace * (carried + 0.5 * drift * step)
-    after[RATE_VARIANCE] = pace * pace * (rate_variance + drift)
+    after[RATE_VARIANCE] = pace * pace * (state[RATE_VARIANCE] + drift)
     return after
 
 

@@ -37,8 +37,8 @@ WEAK_GAP_S = 0.5
 """Weak detections continue tracks that were observed this recently."""
 RECOVERY_IOU = 0.5
 """Overlap with the last observed box that a vehicle found standing must have."""
-TENTATIVE_GAP_S = 0.1
-"""An unconfirmed track ends when it is unobserved in two frames and for this long."""
+TENTATIVE_GAP_S = 0.3
+"""An unconfirmed track ends when it is unobserved in a frame and for this long."""
 MAX_TRACKS = 2000
 """More at once are no traffic; those unobserved longest are dropped."""
 MAX_ID = 2**31 - 1
@@ -123,6 +123,7 @@ class Tracker:
         found = prepare(detections, self._p, self._noise)
         self._count(detections, found)
         tracks = self._tracks
+        self._end(self._expired(tracks.elapsed_s(stamp_ns)))
         elapsed_s = tracks.elapsed_s(stamp_ns)
         predicted = predict(tracks.state, elapsed_s, self._noise)
         partner = self._associate(predicted, elapsed_s, found)
@@ -134,10 +135,9 @@ class Tracker:
         tracks.missed += 1
         state = correct(predicted[:, :, hit], found.measured[:, of_hit], found.variance[:, of_hit])
         tracks.observe(hit, stamp_ns, state, found, of_hit)
-        elapsed_s[hit] = 0.0
-        ended = self._ended(predicted, elapsed_s)
-        predicted = predicted[:, :, ~ended]
-        self._end(ended)
+        left = self._outside(predicted)
+        predicted = predicted[:, :, ~left]
+        self._end(left)
         self._begin(stamp_ns, found, partner)
         self._confirm()
         return self._output(stamp_ns, predicted)
@@ -205,19 +205,23 @@ class Tracker:
             self._next_id += len(fresh)
             self.counts.births += len(fresh)
 
-    def _ended(self, predicted: Array, elapsed_s: Array) -> NDArray[np.bool_]:
-        """(N,) which tracks end now."""
+    def _expired(self, elapsed_s: Array) -> NDArray[np.bool_]:
+        """(N,) tracks that were unobserved for too long before this frame."""
         tracks = self._tracks
-        ended = elapsed_s > self._p.max_gap_s
-        ended |= (tracks.track_id == 0) & (tracks.missed > 1) & (elapsed_s > TENTATIVE_GAP_S)
-        if self._p.image_width:
-            x, y = predicted[MEAN, 0], predicted[MEAN, 1]
-            outside = (x < 0.0) | (x > self._p.image_width) | (y < 0.0) | (y > self._p.image_height)
-            ended |= outside & (tracks.missed > 0)
+        expired = elapsed_s > self._p.max_gap_s
+        expired |= (tracks.track_id == 0) & (tracks.missed > 0) & (elapsed_s > TENTATIVE_GAP_S)
         if len(tracks) > MAX_TRACKS:
             longest = np.argsort(-elapsed_s, kind="stable")
-            ended[longest[: len(tracks) - MAX_TRACKS]] = True
-        return ended
+            expired[longest[: len(tracks) - MAX_TRACKS]] = True
+        return expired
+
+    def _outside(self, predicted: Array) -> NDArray[np.bool_]:
+        """(N,) unobserved tracks that have left the image."""
+        x, y = predicted[MEAN, 0], predicted[MEAN, 1]
+        if not self._p.image_width:
+            return np.zeros(len(x), dtype=bool)
+        outside = (x < 0.0) | (x > self._p.image_width) | (y < 0.0) | (y > self._p.image_height)
+        return np.asarray(outside & (self._tracks.missed > 0))
 
     def _end(self, ended: NDArray[np.bool_]) -> None:
         if ended.any():
