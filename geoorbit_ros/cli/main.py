@@ -14,7 +14,7 @@ from typing import Annotated
 import typer
 
 from geoorbit_ros import __version__
-from geoorbit_ros.cli import bag, database, scene
+from geoorbit_ros.cli import bag, database, scene, twin
 from geoorbit_ros.cli.demo import demo
 from geoorbit_ros.cli.lanes import lanes
 from geoorbit_ros.cli.process import process
@@ -81,6 +81,7 @@ for _name, _command in (
 app.add_typer(scene.app, name="scene")
 app.add_typer(bag.app, name="bag")
 app.add_typer(database.app, name="db")
+app.add_typer(twin.app, name="twin")
 
 
 def _reflow(commands: typer.Typer) -> None:

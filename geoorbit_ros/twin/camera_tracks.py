@@ -95,10 +95,11 @@ class CameraTracks:
             self._pass(*self._frames.popleft())
         last = self._last
         if self._last_ns == time_ns:
-            return last[last["stamp_ns"] == time_ns]
+            exact: NDArray[np.void] = last[last["stamp_ns"] == time_ns]
+            return exact
         if self._frames:
             return _between(last, self._frames[0][1], time_ns)
-        fresh = last[last["stamp_ns"] == (self._last_ns or 0)].copy()
+        fresh: NDArray[np.void] = last[last["stamp_ns"] == (self._last_ns or 0)].copy()
         ahead_s = (time_ns - fresh["stamp_ns"]) * 1e-9
         fresh = fresh[ahead_s <= MAX_LAG_S]
         fresh["xy"] += fresh["velocity"] * (time_ns - fresh["stamp_ns"])[:, None] * 1e-9

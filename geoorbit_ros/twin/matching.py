@@ -155,4 +155,4 @@ def _observation(
     turn = np.nan_to_num((turn + np.pi) % (2 * np.pi) - np.pi)
     score = -0.5 * (offset_m / lateral) ** 2 - 0.5 * (turn / HEADING_SIGMA_RAD) ** 2
     score[np.abs(turn) > MAX_TURN_RAD] = IMPOSSIBLE
-    return score
+    return np.asarray(score, dtype=np.float64)

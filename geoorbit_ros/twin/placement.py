@@ -34,7 +34,8 @@ class TwinStep:
         sigma_m: (M,) 1-sigma ground error of the tracks.
         kind: (M,) number in `vehicle_types.TYPES`.
         lane: (M,) lane number that SUMO has it in, by its front; `NONE` beside the network.
-        wanted_lane: (M,) lane number that it was put on.
+        wanted_lane: (M,) lane number that it was put on; `NONE` beside every lane, where SUMO may
+            count it to the nearest lane or to none.
         observed: (M,) whether a camera saw it; otherwise it goes on as before.
         cameras: (M,) how many did.
         wanted_xy: (M, 2) where the tracks say it is.
@@ -175,13 +176,18 @@ class Placement:
             sigma_m=rows["sigma"],
             kind=rows["sim_kind"],
             lane=np.array([number.get(name, NONE) for name in states.lane], dtype=np.int64),
-            wanted_lane=lane,
+            wanted_lane=np.where(self._within(rows), lane, NONE),
             observed=rows["observed"],
             cameras=rows["cameras"],
             wanted_xy=rows["xy"],
             wanted_heading_rad=rows["heading"],
             cost_s=time.perf_counter() - start_s,
         )
+
+    def _within(self, rows: NDArray[np.void]) -> NDArray[np.bool_]:
+        """Whether the middle of each vehicle lies between the borders of its lane."""
+        half_m = 0.5 * self._network.width_m[np.maximum(rows["lane"], 0)]
+        return np.asarray((rows["lane"] != NONE) & (np.abs(rows["offset"]) <= half_m))
 
 
 def _names(vehicle_id: NDArray[np.int64]) -> list[str]:

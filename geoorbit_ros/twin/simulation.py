@@ -130,7 +130,7 @@ class SumoSimulation:
         self._folder = Path(tempfile.mkdtemp(prefix="geoorbit_twin_"))
         self._process: subprocess.Popen[bytes] | None = None
         self._in_process = backend == "libsumo"
-        self._sumo: Any = None
+        self._sumo: Any = None  # set by the start, unset by the end
         self._fatal: tuple[type[Exception], ...] = ()
         try:
             net, types = self._folder / "twin.net.xml", self._folder / "twin.add.xml"
@@ -145,7 +145,7 @@ class SumoSimulation:
         except BaseException:
             shutil.rmtree(self._folder, ignore_errors=True)
             raise
-        self._vehicle: Any = self._sumo.vehicle
+        self._vehicle: Any = self.sumo.vehicle
 
     @property
     def pid(self) -> int | None:

@@ -1,0 +1,159 @@
+"""`geoorbit twin`: the SUMO twin of the road."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from geoorbit_ros.cli.inputs import DatumOption, ImageSizeOption
+
+if TYPE_CHECKING:
+    from geoorbit_ros.twin.replay import ReplayScore, TrackStream
+
+app = typer.Typer(help="The road's digital twin in SUMO.", no_args_is_help=True)
+
+BagsArgument = Annotated[
+    list[Path], typer.Argument(help="Tracked boxes: one rosbag2 bag with tracks_px per camera.")
+]
+NetOption = Annotated[
+    Path, typer.Option("--net", help="SUMO network with a projection (geoorbit map build).")
+]
+CalibrationsOption = Annotated[
+    list[Path],
+    typer.Option("--calibration", help="Control points, a CSV per bag in the same order."),
+]
+StepOption = Annotated[
+    float, typer.Option("--step-s", min=0.01, max=1.0, help="Length of a simulation step.")
+]
+
+
+@app.command("replay")
+def replay(
+    bags: BagsArgument,
+    net: NetOption,
+    out: Annotated[Path, typer.Option("--out", help="Folder for the results; must not exist.")],
+    calibration: CalibrationsOption,
+    image_size: ImageSizeOption = "1920x1080",
+    datum: DatumOption = None,
+    step_s: StepOption = 0.1,
+) -> None:
+    """Let the recorded vehicles drive through a SUMO network, and say how well it followed.
+
+    Into the folder go score.json, vehicles.csv (every vehicle of the twin in every step) and
+    twin.png.
+
+    Example: [bold]geoorbit twin replay north_bag --net area/network.net.xml
+    --calibration north.csv --out twin[/bold]
+    """
+    import json
+
+    from geoorbit_ros.cli.console import console
+    from geoorbit_ros.storage.atomic import atomic_output
+    from geoorbit_ros.twin.network import load_network
+    from geoorbit_ros.twin.picture import WayKeeper, save_picture
+    from geoorbit_ros.twin.placement import TwinStep
+    from geoorbit_ros.twin.replay import replay_tracks
+    from geoorbit_ros.twin.simulation import SumoSimulation
+    from geoorbit_ros.twin.state_file import StateWriter
+
+    with atomic_output(out) as folder:
+        streams = open_streams(bags, calibration, image_size, datum)
+        network = load_network(net, streams[0].datum)
+        simulation = SumoSimulation(net, step_s)
+        folder.mkdir()
+        ways = WayKeeper()
+        try:
+            with StateWriter(folder / "vehicles.csv", network) as states:
+
+                def take(step: TwinStep) -> None:
+                    states.write(step)
+                    ways.add(step.xy, step.lane)
+
+                score = replay_tracks(network, simulation, streams, take, step_s)
+        finally:
+            simulation.close()
+        _check_traffic(score, str(net))
+        text = json.dumps(score.values(), indent=2)
+        (folder / "score.json").write_text(text + "\n", encoding="utf-8")
+        title = f"{score.vehicles} vehicles in {score.health.steps * step_s:.0f} s on {net.name}"
+        save_picture(folder / "twin.png", network, ways, title)
+    _print_score(score)
+    console.print(f" Wrote {out}", soft_wrap=True)
+
+
+def open_streams(
+    bags: list[Path], calibrations: list[Path], image_size: str, datum: str | None
+) -> list[TrackStream]:
+    """Ground tracks of each bag by its calibration, the first under a progress bar.
+
+    Raises:
+        GeoOrbitError: A bag or a calibration can't be used, or not one calibration per bag.
+    """
+    from geoorbit_ros.calibration.box_projector import BoxProjector
+    from geoorbit_ros.calibration.control_points import read_control_points
+    from geoorbit_ros.calibration.homography import fit_homography
+    from geoorbit_ros.cli.console import status, track
+    from geoorbit_ros.cli.inputs import parse_datum, parse_image_size
+    from geoorbit_ros.core.errors import InputFileError, ParameterError
+    from geoorbit_ros.lanes.pipeline import project_frames
+    from geoorbit_ros.storage.bag import read_track_bag
+    from geoorbit_ros.twin.replay import TrackStream
+
+    if len(bags) != len(calibrations):
+        found = f"{len(calibrations)} for {len(bags)} bags"
+        raise ParameterError("option --calibration", found, "one per bag, in the same order")
+    size, origin = parse_image_size(image_size), parse_datum(datum)
+    streams: list[TrackStream] = []
+    for bag, file in zip(bags, calibrations, strict=True):
+        points = read_control_points(file, origin)
+        if points.datum is None:
+            expected = "--datum LAT,LON: where x_m = y_m = 0 is"
+            raise InputFileError(str(file), "control points in metres", expected)
+        with status(f"reading {bag}"):
+            content = read_track_bag(bag)
+        if any(content.camera_id == stream.camera for stream in streams):
+            found = f"a second bag of camera '{content.camera_id}'"
+            raise InputFileError(str(bag), found, "one bag per camera")
+        projector = BoxProjector(fit_homography(points), size)
+        frames = project_frames(content.frames, projector)
+        if not streams:
+            frames = track(frames, "driving the twin", total=len(content.frames))
+        streams.append(TrackStream(content.camera_id, frames, points.datum))
+    return streams
+
+
+def _check_traffic(score: ReplayScore, place: str) -> None:
+    from geoorbit_ros.core.errors import NoTrafficError
+
+    if not score.vehicles:
+        found = f"none of {score.tracks} tracks on its lanes"
+        raise NoTrafficError(place, found, "a network that covers what the camera sees")
+
+
+def _print_score(score: ReplayScore) -> None:
+    from geoorbit_ros.cli.console import console, make_table, say
+
+    health, events = score.health, score.events
+    table = make_table("The twin against the tracks", "|>95 %|>largest")
+    table.add_row(
+        "position m", f"{health.position_error_m_p95:.3f}", f"{health.position_error_m_max:.3f}"
+    )
+    table.add_row(
+        "heading °", f"{health.heading_error_deg_p95:.2f}", f"{health.heading_error_deg_max:.2f}"
+    )
+    console.print(table)
+    say(
+        f"{score.vehicles} vehicles from {score.tracks} tracks in {health.steps} steps: "
+        f"{health.vehicle_steps} times seen, {health.coasting_steps} times going on unseen."
+    )
+    say(
+        f"Lane as matched in {1.0 - health.lane_error_share:.2%}, beside every lane in "
+        f"{health.beside_share:.2%}; {health.lost} vehicles lost; {events.jumps} tracks jumped, "
+        f"{events.handovers} were taken over, {events.off_road} rows lay beside the network."
+    )
+    say(
+        f"A step took {health.step_ms_median:.1f} ms (99 %: {health.step_ms_p99:.1f} ms): "
+        f"{health.steps_per_s:.0f} steps per second."
+    )
