@@ -16,6 +16,8 @@ import typer
 from geoorbit_ros import __version__
 from geoorbit_ros.cli import bag, database, scene, twin
 from geoorbit_ros.cli.demo import demo
+from geoorbit_ros.cli.detect import detect
+from geoorbit_ros.cli.export import export
 from geoorbit_ros.cli.lanes import lanes
 from geoorbit_ros.cli.process import process
 from geoorbit_ros.cli.replay import replay
@@ -70,9 +72,11 @@ for _name, _command in (
     ("lanes", lanes),
     ("process", process),
     ("replay", replay),
+    ("detect", detect),
     ("track", track),
     ("score", score),
     ("report", report),
+    ("export", export),
     ("up", up),
     ("status", status),
     ("view", view),

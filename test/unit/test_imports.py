@@ -17,7 +17,8 @@ LEVELS = {
     "core": 0,
     **dict.fromkeys(("detection", "tracking", "calibration", "lanes", "metrics"), 1),
     **dict.fromkeys(("conversions", "parameters", "storage", "report"), 2),
-    **dict.fromkeys(("scenes", "learning", "federated", "twin", "fleet"), 2),
+    **dict.fromkeys(("scenes", "learning", "federated", "twin"), 2),
+    **dict.fromkeys(("fleet", "viewer", "exchange"), 2),
     "nodes": 3,
     "cli": 4,
 }

@@ -1,0 +1,1 @@
+"""Lane maps in the formats of other programs: OpenDRIVE, Lanelet2, SUMO."""

@@ -1,0 +1,71 @@
+"""Lane maps as Lanelet2 maps in OSM XML: one lanelet per lane, with its boundaries as ways.
+
+Tags follow Lanelet2's documentation (LaneletAndAreaTagging.md). Lanelets of neighbouring lanes
+don't share a boundary: each keeps the one that was measured.
+"""
+
+from __future__ import annotations
+
+from itertools import count
+from xml.etree import ElementTree as Xml
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.exchange.provenance import file_facts, lane_facts
+from geoorbit_ros.lanes.geojson import LaneFile
+
+DECIMALS = 11
+"""Decimals of a degree: less than 0.01 mm."""
+
+
+def to_lanelet2(file: LaneFile) -> str:
+    """The map as the text of an `.osm` file."""
+    root = Xml.Element("osm", version="0.6", generator=file_facts(file)["geoorbit:generator"])
+    ids = count(1)
+    nodes: list[Xml.Element] = []
+    ways: list[Xml.Element] = []
+    relations: list[Xml.Element] = []
+
+    def add_way(points_m: NDArray[np.float64]) -> str:
+        way = _element("way", next(ids))
+        for latitude, longitude in file.datum.to_geodetic(points_m):
+            node = _element("node", next(ids))
+            node.set("lat", f"{latitude:.{DECIMALS}f}")
+            node.set("lon", f"{longitude:.{DECIMALS}f}")
+            nodes.append(node)
+            Xml.SubElement(way, "nd", ref=node.attrib["id"])
+        _tag(way, {"type": "virtual"})  # the paint is not seen, only where vehicles drive
+        ways.append(way)
+        return way.attrib["id"]
+
+    for lane in file.lane_map.lanes:
+        members = {"left": add_way(lane.left_m), "right": add_way(lane.right_m)}
+        relation = _element("relation", next(ids))
+        for role, way_id in members.items():
+            Xml.SubElement(relation, "member", type="way", ref=way_id, role=role)
+        _tag(
+            relation,
+            {
+                "type": "lanelet",
+                "subtype": "road",
+                "location": "urban",
+                "one_way": "yes",
+                "participant:vehicle": "yes",
+                **lane_facts(lane),
+                **file_facts(file),
+            },
+        )
+        relations.append(relation)
+    root.extend([*nodes, *ways, *relations])
+    Xml.indent(root)
+    return Xml.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def _element(kind: str, number: int) -> Xml.Element:
+    return Xml.Element(kind, id=str(number), visible="true", version="1")
+
+
+def _tag(element: Xml.Element, tags: dict[str, str]) -> None:
+    for key, value in tags.items():
+        Xml.SubElement(element, "tag", k=key, v=value)

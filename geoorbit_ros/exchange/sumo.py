@@ -1,0 +1,111 @@
+"""Lane maps as SUMO networks: one edge per carriageway, made by SUMO's own netconvert."""
+
+from __future__ import annotations
+
+import subprocess
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from xml.etree import ElementTree as Xml
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.core.errors import GeoOrbitError
+from geoorbit_ros.core.lanes import Lane
+from geoorbit_ros.exchange.carriageways import carriageways
+from geoorbit_ros.exchange.provenance import file_facts, lane_facts
+from geoorbit_ros.lanes.geojson import LaneFile
+from geoorbit_ros.scenes.network import netconvert_path
+
+TIME_LIMIT_S = 120.0
+SPEED_M_S = 13.89
+"""50 km/h; a lane map knows no limits."""
+
+
+class ExchangeError(GeoOrbitError):
+    """A lane map that another program refuses."""
+
+
+def to_sumo(file: LaneFile) -> str:
+    """The map as the text of a `.net.xml` file.
+
+    Raises:
+        ExchangeError: netconvert refuses the lanes or doesn't end.
+        NetworkError: SUMO is not installed.
+    """
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        nodes, edges = _plain_xml(file)
+        for plain, root in (("lanes.nod.xml", nodes), ("lanes.edg.xml", edges)):
+            Xml.ElementTree(root).write(folder / plain, encoding="utf-8", xml_declaration=True)
+        command = [
+            netconvert_path(),
+            *("--node-files", "lanes.nod.xml", "--edge-files", "lanes.edg.xml"),
+            *("--output-file", "lanes.net.xml", "--offset.disable-normalization"),
+            *("--precision", "4", "--no-internal-links", "--no-turnarounds"),
+        ]
+        try:
+            done = subprocess.run(
+                command, cwd=folder, capture_output=True, text=True, timeout=TIME_LIMIT_S
+            )
+        except subprocess.TimeoutExpired as error:
+            raise ExchangeError(
+                "netconvert", f"no end after {TIME_LIMIT_S:g} s", "a net"
+            ) from error
+        if done.returncode:
+            reason = " ".join(done.stderr.split())
+            raise ExchangeError("netconvert", reason, "a network of the lanes")
+        return (folder / "lanes.net.xml").read_text(encoding="utf-8")
+
+
+def _plain_xml(file: LaneFile) -> tuple[Xml.Element, Xml.Element]:
+    nodes, edges = Xml.Element("nodes"), Xml.Element("edges")
+    points = np.concatenate([lane.centerline_m for lane in file.lane_map.lanes])
+    bounds = ",".join(f"{value:.4f}" for value in (*points.min(axis=0), *points.max(axis=0)))
+    Xml.SubElement(
+        nodes,
+        "location",
+        netOffset="0,0",
+        convBoundary=bounds,
+        origBoundary=bounds,
+        projParameter=file.datum.proj_string,
+    )
+    for group in carriageways(file.lane_map.lanes):
+        name = f"lanes_{'_'.join(str(lane.lane_id) for lane in group)}"
+        spine = group[len(group) // 2].centerline_m
+        for end, (x, y) in (("start", spine[0]), ("end", spine[-1])):
+            Xml.SubElement(nodes, "node", id=f"{name}_{end}", x=f"{x:.4f}", y=f"{y:.4f}")
+        edge = Xml.SubElement(
+            edges,
+            "edge",
+            {"id": name, "from": f"{name}_start", "to": f"{name}_end"},
+            numLanes=str(len(group)),
+            speed=f"{SPEED_M_S}",
+            shape=_shape(spine),
+            spreadType="center",
+        )
+        for index, lane in enumerate(group):
+            _add_lane(edge, index, lane)
+        _add_facts(edge, file_facts(file))
+    return nodes, edges
+
+
+def _add_lane(edge: Xml.Element, index: int, lane: Lane) -> None:
+    element = Xml.SubElement(
+        edge,
+        "lane",
+        index=str(index),
+        width=f"{lane.width_m:.3f}",
+        shape=_shape(lane.centerline_m),
+    )
+    _add_facts(element, lane_facts(lane))
+
+
+def _add_facts(element: Xml.Element, facts: Mapping[str, str]) -> None:
+    for key, value in facts.items():
+        Xml.SubElement(element, "param", key=key, value=value)
+
+
+def _shape(points_m: NDArray[np.float64]) -> str:
+    return " ".join(f"{x:.4f},{y:.4f}" for x, y in points_m)
