@@ -26,6 +26,7 @@ VEHICLE_DTYPE = np.dtype(
         ("lane", "<i8"),
         ("arc", "<f8"),
         ("offset", "<f8"),
+        ("within", "?"),
         ("entered", "?"),
         ("sim_kind", "<i8"),
         ("sim_length", "<f8"),
@@ -35,7 +36,8 @@ VEHICLE_DTYPE = np.dtype(
 )
 """State of a vehicle: middle of its footprint in the map frame; `kind` numbers `TYPES`;
 `observed`: a track has it in this step, and `predicted`: but only as a prediction; `cameras`: how
-many see it; `entered`: whether it is in the simulation, and `sim_…` what it is there."""
+many see it; `within`: between the borders of its lane; `entered`: whether it is in the simulation,
+and `sim_…` what it is there."""
 
 _MEMORY = 0.98
 """A class vote fades to half in 3.4 s of steps at 10 Hz."""

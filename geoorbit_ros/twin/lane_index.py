@@ -25,13 +25,15 @@ class Candidates:
 
     Attributes:
         lane: (M, C) lane number, `NONE` for padding.
-        offset_m: (M, C) signed distance from the centre line, positive to its left.
+        offset_m: (M, C) distance to the left of the centre line.
+        past_m: (M, C) distance before the lane's beginning or after its end; 0 beside it.
         arc_m: (M, C) place along the lane.
         heading_rad: (M, C) the lane's direction there.
     """
 
     lane: NDArray[np.int64]
     offset_m: NDArray[np.float64]
+    past_m: NDArray[np.float64]
     arc_m: NDArray[np.float64]
     heading_rad: NDArray[np.float64]
 
@@ -78,10 +80,12 @@ class LaneIndex:
         by_lane = np.argsort(np.where(kept, chosen, np.iinfo(np.int64).max), axis=1)
         pick = nearest[rows, by_lane]
         part = at[rows, pick]
-        arc = self._arc[part] + np.clip(along[rows, pick], 0.0, self._length[part])
-        side = np.copysign(distance[rows, pick], across[rows, pick])
         return Candidates(
-            chosen[rows, by_lane], np.where(np.isinf(side), 0.0, side), arc, self._heading[part]
+            lane=chosen[rows, by_lane],
+            offset_m=across[rows, pick],
+            past_m=np.abs(past[rows, pick]),
+            arc_m=self._arc[part] + np.clip(along[rows, pick], 0.0, self._length[part]),
+            heading_rad=self._heading[part],
         )
 
     def _project(

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.twin.lane_index import CANDIDATES, LaneIndex
+from geoorbit_ros.twin.lane_index import CANDIDATES, Candidates, LaneIndex
 from geoorbit_ros.twin.lane_links import LaneLinks
 from geoorbit_ros.twin.network import NONE, RoadNetwork
 
@@ -28,6 +28,8 @@ MAX_TURN_RAD = np.radians(80.0)
 """Nobody drives along a lane with this angle to it: it is another road or another direction."""
 ENTRY_M = 4.0
 """Nothing farther from the middle of every lane is traffic: half a lane and a shoulder."""
+END_SLACK_M = 1.0
+"""Lanes that follow each other may leave a gap of this between them."""
 IMPOSSIBLE = -1e6
 FORGET = 12.0
 """Cost of the worst hypothesis that is kept: a lane that was ruled out can come back."""
@@ -43,12 +45,14 @@ class Matches:
         lane: (M,) lane number, `NONE` beside the network.
         arc_m: (M,) place along the lane.
         offset_m: (M,) distance from the lane's middle, positive to the left.
+        within: (M,) whether the vehicle's middle lies between the lane's borders and ends.
         heading_rad: (M,) the lane's direction there; NaN beside the network.
     """
 
     lane: NDArray[np.int64]
     arc_m: NDArray[np.float64]
     offset_m: NDArray[np.float64]
+    within: NDArray[np.bool_]
     heading_rad: NDArray[np.float64]
 
 
@@ -63,6 +67,7 @@ class LaneMatcher:
     def __init__(self, network: RoadNetwork, capacity: int = 64) -> None:
         self._index = LaneIndex(network)
         self._links = LaneLinks(network)
+        self._half_m = 0.5 * network.width_m
         self._lane = np.full((capacity, CANDIDATES), NONE, dtype=np.int64)
         self._score = np.zeros((capacity, CANDIDATES))
         self._cost = np.zeros((capacity, CANDIDATES, CANDIDATES))
@@ -98,8 +103,7 @@ class LaneMatcher:
         """
         near = self._index.near(xy)
         present = near.lane != NONE
-        score = _observation(near.offset_m, near.heading_rad, heading_rad, sigma_m)
-        score[~present] = IMPOSSIBLE
+        score = _observation(near, heading_rad, sigma_m)
         known = (self._lane[slot] != NONE).any(axis=1)
         prior = self._prior(slot[known], near.lane[known])
         score[known] += prior
@@ -113,10 +117,13 @@ class LaneMatcher:
         lost |= ~present[rows, best]
         lane = np.where(lost, NONE, near.lane[rows, best])
         self._lane[slot], self._score[slot], self._best[slot] = near.lane, score, lane
+        offset = near.offset_m[rows, best]
+        within = ~lost & (np.abs(offset) <= self._half_m[lane])
         return Matches(
             lane,
             near.arc_m[rows, best],
-            near.offset_m[rows, best],
+            offset,
+            within & (near.past_m[rows, best] < END_SLACK_M),
             np.where(lost, np.nan, near.heading_rad[rows, best]),
         )
 
@@ -144,15 +151,13 @@ class LaneMatcher:
 
 
 def _observation(
-    offset_m: NDArray[np.float64],
-    lane_heading: NDArray[np.float64],
-    heading: NDArray[np.float64],
-    sigma_m: NDArray[np.float64],
+    near: Candidates, heading: NDArray[np.float64], sigma_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """(M, C) log likelihoods."""
     lateral = np.hypot(LATERAL_SIGMA_M, SIGMA_SHARE * sigma_m)[:, None]
-    turn = heading[:, None] - lane_heading
+    turn = heading[:, None] - near.heading_rad
     turn = np.nan_to_num((turn + np.pi) % (2 * np.pi) - np.pi)
-    score = -0.5 * (offset_m / lateral) ** 2 - 0.5 * (turn / HEADING_SIGMA_RAD) ** 2
-    score[np.abs(turn) > MAX_TURN_RAD] = IMPOSSIBLE
+    score = -0.5 * (near.offset_m**2 + near.past_m**2) / lateral**2
+    score -= 0.5 * (turn / HEADING_SIGMA_RAD) ** 2
+    score[(np.abs(turn) > MAX_TURN_RAD) | (near.lane == NONE)] = IMPOSSIBLE
     return np.asarray(score, dtype=np.float64)

@@ -140,13 +140,13 @@ class Placement:
                 table[f"sim_{name}"][slot] = row[name]
 
     def _front_lanes(self, rows: NDArray[np.void], front: NDArray[np.float64]) -> NDArray[np.int64]:
-        """(M,) lanes of the front bumpers: a lane on where they are over its end."""
+        """(M,) lanes of the front bumpers: one on where over an end, `NONE` where none is on."""
         lane = rows["lane"].copy()
         ahead = rows["arc"] + 0.5 * rows["sim_length"]
         over = (lane != NONE) & (ahead > self._network.length_m[np.maximum(lane, 0)])
         for k in np.flatnonzero(over).tolist():
             place = walk(self._network, int(lane[k]), float(ahead[k]), 0.0, front[k])
-            lane[k] = place.lane
+            lane[k] = NONE if place.ended else place.lane
         return np.asarray(lane)
 
     def _read(
@@ -176,18 +176,13 @@ class Placement:
             sigma_m=rows["sigma"],
             kind=rows["sim_kind"],
             lane=np.array([number.get(name, NONE) for name in states.lane], dtype=np.int64),
-            wanted_lane=np.where(self._within(rows), lane, NONE),
+            wanted_lane=np.where(rows["within"], lane, NONE),
             observed=rows["observed"],
             cameras=rows["cameras"],
             wanted_xy=rows["xy"],
             wanted_heading_rad=rows["heading"],
             cost_s=time.perf_counter() - start_s,
         )
-
-    def _within(self, rows: NDArray[np.void]) -> NDArray[np.bool_]:
-        """Whether the middle of each vehicle lies between the borders of its lane."""
-        half_m = 0.5 * self._network.width_m[np.maximum(rows["lane"], 0)]
-        return np.asarray((rows["lane"] != NONE) & (np.abs(rows["offset"]) <= half_m))
 
 
 def _names(vehicle_id: NDArray[np.int64]) -> list[str]:

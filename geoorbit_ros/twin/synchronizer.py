@@ -127,7 +127,7 @@ class Synchronizer:
             slots, table["xy"][slots], table["heading"][slots], table["sigma"][slots]
         )
         table["lane"][slots], table["arc"][slots] = found.lane, found.arc_m
-        table["offset"][slots] = found.offset_m
+        table["offset"][slots], table["within"][slots] = found.offset_m, found.within
         # Until a vehicle has moved, it stands as its lane runs.
         blind = np.isnan(table["heading"][slots])
         table["heading"][slots[blind]] = np.nan_to_num(found.heading_rad[blind])
@@ -150,6 +150,9 @@ class Synchronizer:
                 continue  # straight on, as the fusion has it
             arc_m = float(row["arc"]) + speed * step_s
             place = walk(self._network, int(row["lane"]), arc_m, float(row["offset"]))
+            if place.ended:
+                self._let_leave(np.array([k]))
+                continue
             table["xy"][k], table["heading"][k] = place.xy, place.heading_rad
             table["velocity"][k] = speed * np.array(
                 [np.cos(place.heading_rad), np.sin(place.heading_rad)]
