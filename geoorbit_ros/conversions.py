@@ -14,7 +14,7 @@ from importlib import import_module
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, Quaternion
+from geometry_msgs.msg import Point, Point32, PolygonStamped, Quaternion
 from numpy.typing import ArrayLike, NDArray
 from sensor_msgs.msg import NavSatFix, NavSatStatus
 from std_msgs.msg import ColorRGBA, Header
@@ -28,8 +28,11 @@ from geoorbit_ros.storage.pointcloud2 import decode_table, encode_table
 __all__ = [
     "datum_from_fix",
     "datum_to_fix",
+    "decode_byte_array",
+    "decode_path",
     "decode_string",
     "decode_table",
+    "encode_byte_array",
     "encode_clock",
     "encode_compressed_image",
     "encode_path",
@@ -40,6 +43,7 @@ __all__ = [
     "lane_poses",
     "message_class",
     "path_headings",
+    "pixel_polygon",
     "time_from_ns",
     "vehicle_poses",
 ]
@@ -90,6 +94,34 @@ def decode_string(cdr: bytes, place: str) -> str:
         raise MessageError(place, f"{len(cdr)} bytes that break off", "a std_msgs/String") from None
 
 
+def encode_byte_array(data: bytes) -> bytes:
+    """`std_msgs/ByteMultiArray` without a layout, serialised."""
+    return _CDR_HEAD + bytes(8) + struct.pack("<I", len(data)) + data
+
+
+def decode_byte_array(cdr: bytes, place: str) -> bytes:
+    """The data of a serialised `std_msgs/ByteMultiArray`, whatever layout it names.
+
+    Raises:
+        MessageError: Bytes that are none.
+    """
+    expected = "a std_msgs/ByteMultiArray"
+    try:
+        if cdr[:2] != _CDR_HEAD[:2]:
+            raise MessageError(place, f"{len(cdr)} bytes of another layout", expected)
+        dimensions, at = struct.unpack_from("<I", cdr, 4)[0], 8
+        for _ in range(dimensions):  # label, size, stride
+            at += 4 + struct.unpack_from("<I", cdr, at)[0]
+            at += -at % 4 + 8
+            struct.unpack_from("<I", cdr, at)  # ends the loop where the bytes end
+        (size,) = struct.unpack_from("<I", cdr, at + 4)
+    except struct.error:
+        size, at = len(cdr), 0
+    if len(cdr) - (at + 8) not in range(size, size + 4):  # some writers pad to four bytes
+        raise MessageError(place, f"{len(cdr)} bytes that break off", expected)
+    return cdr[at + 8 : at + 8 + size]
+
+
 def encode_compressed_image(stamp_ns: int, frame_id: str, kind: str, data: bytes) -> bytes:
     """`sensor_msgs/CompressedImage`, serialised.
 
@@ -133,6 +165,33 @@ def encode_path(stamp_ns: int, frame_id: str, xy_m: ArrayLike, heading_rad: Arra
         rest["pose"] = poses[1:]
         body += rest.tobytes()
     return _CDR_HEAD + body
+
+
+def decode_path(cdr: bytes, place: str) -> tuple[str, NDArray[np.float64]]:
+    """Frame and (N, 2) positions in metres of a serialised `nav_msgs/Path`.
+
+    Raises:
+        MessageError: Bytes that are none, or positions that are not finite.
+    """
+    expected = "a nav_msgs/Path with finite positions"
+    try:
+        (size,) = struct.unpack_from("<I", cdr, 12)
+        frame_id = cdr[16 : 15 + size].decode()
+        at = 16 + size + -size % 4
+        (number,) = struct.unpack_from("<I", cdr, at)
+        at += 4
+        xy_m = np.empty((min(number, len(cdr) // 56), 2))
+        for k in range(number):
+            at += 8  # the pose's own stamp
+            at += 4 + struct.unpack_from("<I", cdr, at)[0]
+            at += -(at - 4) % 8
+            xy_m[k] = struct.unpack_from("<2d", cdr, at)
+            at += 56
+    except (struct.error, UnicodeDecodeError, IndexError):
+        raise MessageError(place, f"{len(cdr)} bytes that break off", expected) from None
+    if cdr[:2] != _CDR_HEAD[:2] or at > len(cdr) or not np.isfinite(xy_m).all():
+        raise MessageError(place, f"{len(cdr)} bytes of another content", expected)
+    return frame_id, xy_m
 
 
 def path_headings(xy_m: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -209,6 +268,13 @@ def lane_markers(lane_map: LaneMap, frame_id: str) -> MarkerArray:
         label.text = f"{lane.lane_id} ({lane.width_m:.1f} m)"
         markers += [arrow, label]
     return MarkerArray(markers=markers)
+
+
+def pixel_polygon(stamp_ns: int, frame_id: str, contour: NDArray[np.floating]) -> PolygonStamped:
+    """A closed outline (K, 2) in the image: x right, y down in pixels, z = 0."""
+    message = PolygonStamped(header=Header(stamp=time_from_ns(stamp_ns), frame_id=frame_id))
+    message.polygon.points = [Point32(x=x, y=y) for x, y in contour.tolist()]
+    return message
 
 
 def _marker(header: Header, role: str, lane_id: int, kind: int, colour: ColorRGBA) -> Marker:

@@ -1,0 +1,132 @@
+"""The empty road of a fixed camera, learnt while traffic passes."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.detection.detector import Image
+from geoorbit_ros.detection.motion_mode import most_usual
+from geoorbit_ros.detection.motion_pixels import scaled
+
+SAMPLES = 31
+"""Pictures behind the most usual value."""
+FIRST_SPACING_S, LAST_SPACING_S = 0.2, 3.2
+"""Time between them at first and later on, which makes a window of 100 s: a vehicle that stands
+still for a third of it becomes part of the road."""
+MIN_SAMPLES = 5
+FIRST_STRIPS, LAST_STRIPS = 2, 24
+"""The picture is worked on in so many parts, one per frame, so that no frame takes long."""
+FOLLOW_TIME_S = 2.0
+"""How fast free road follows the light."""
+NOISE_FACTOR = 5.0
+"""Contrast needed, in mean absolute deviations of the pixel."""
+MIN_CONTRAST, MAX_CONTRAST = np.uint8(14), np.uint8(36)
+"""Grey levels that a vehicle differs by at least (compression alone makes ten), and at most."""
+FIRST_DEVIATION = 2.0
+_GRID = 8
+"""Every so manieth pixel each way tells the brightness of the picture."""
+_MIN_GAIN_STEP = 0.02
+
+
+class RoadBackground:
+    """What each pixel shows when no vehicle is there, and how much it wavers.
+
+    A running mean where the road is free; corrected wherever it disagrees with the most usual value
+    in pictures of the last minutes, so that a vehicle of the first picture doesn't stay as a ghost.
+
+    Attributes:
+        mean: (H, W, 3) float32; the picture of the empty road.
+        contrast: (H, W) uint8; differences above it are no noise.
+    """
+
+    def __init__(self) -> None:
+        self._samples: list[Image] = []
+        self._spacing_s = FIRST_SPACING_S
+        self._sampled_ns: int | None = None
+        self._followed_ns: int | None = None
+        self._strips: list[slice] = []
+        self.mean = np.empty((0, 0, 3), dtype=np.float32)
+        self._deviation = np.empty((0, 0), dtype=np.float32)
+        self.contrast = np.empty((0, 0), dtype=np.uint8)
+
+    @property
+    def ready(self) -> bool:
+        """Whether enough pictures were seen to know the road."""
+        return len(self.mean) > 0
+
+    def sample(self, stamp_ns: int, picture: Image) -> None:
+        """Keep this picture for the most usual value if it's time to, and work on that."""
+        last = self._sampled_ns
+        if last is None or stamp_ns - last >= self._spacing_s * 1e9:
+            self._sampled_ns = stamp_ns
+            self._keep(picture)
+        if not self.ready and len(self._samples) == MIN_SAMPLES:
+            self.restart(most_usual(self._samples))
+        elif self._strips and self.ready:
+            rows = self._strips.pop()
+            self._correct(rows, most_usual([sample[rows] for sample in self._samples]))
+
+    def restart(self, road: Image) -> None:
+        """Begin with this picture of the empty road."""
+        self.mean = road.astype(np.float32)
+        self._deviation = np.full(road.shape[:2], FIRST_DEVIATION, dtype=np.float32)
+        self.contrast = np.full(road.shape[:2], MIN_CONTRAST)
+
+    def difference(self, picture: Image) -> tuple[NDArray[np.uint8], Image]:
+        """(H, W) largest difference of any channel from the road; the road as it looks now."""
+        gain = self._gain(picture)
+        if np.abs(gain - 1.0).max() > _MIN_GAIN_STEP:
+            self.mean = np.minimum(self.mean * gain, np.float32(255.0))
+        road = np.asarray(cv2.convertScaleAbs(self.mean), dtype=np.uint8)
+        blue, green, red = cv2.split(cv2.absdiff(picture, road))
+        return np.asarray(cv2.max(cv2.max(blue, green), red), dtype=np.uint8), road
+
+    def follow(
+        self,
+        stamp_ns: int,
+        picture: Image,
+        difference: NDArray[np.uint8],
+        free: NDArray[np.uint8],
+    ) -> None:
+        """Let the road follow the light where it is free (255), not where vehicles are (0)."""
+        last = self._followed_ns
+        elapsed_s = 0.04 if last is None else min(max(stamp_ns - last, 0) / 1e9, 1.0)
+        self._followed_ns = stamp_ns
+        share = 1.0 - float(np.exp(-elapsed_s / FOLLOW_TIME_S))
+        cv2.accumulateWeighted(picture, self.mean, share, free)
+        # What differs more is a vehicle that was missed, not noise.
+        noise = np.minimum(difference, MIN_CONTRAST)
+        cv2.accumulateWeighted(noise, self._deviation, share, free)
+        wanted = cv2.convertScaleAbs(self._deviation, alpha=NOISE_FACTOR)
+        self.contrast = np.clip(np.asarray(wanted, np.uint8), MIN_CONTRAST, MAX_CONTRAST)
+
+    def _gain(self, picture: Image, rows: slice = slice(None)) -> NDArray[np.float32]:
+        """(3,) how much brighter the picture is than these rows of the road, by channel."""
+        now = picture[::_GRID, ::_GRID].reshape(-1, 3).astype(np.float32)
+        then = self.mean[rows][::_GRID, ::_GRID].reshape(-1, 3)
+        return np.asarray(np.median((now + 1.0) / (then + 1.0), axis=0), dtype=np.float32)
+
+    def _keep(self, picture: Image) -> None:
+        if len(self._samples) == SAMPLES and self._spacing_s < LAST_SPACING_S:
+            del self._samples[::2]
+            self._spacing_s *= 2.0
+        if len(self._samples) == SAMPLES:
+            del self._samples[0]
+        # In the light of the road as it is known, so that clouds don't make two roads of it.
+        gain = self._gain(picture) if self.ready else np.ones(3)
+        self._samples.append(scaled(picture, 1.0 / gain))
+        if self._strips:
+            return
+        strips = FIRST_STRIPS if self._spacing_s < 1.0 else LAST_STRIPS
+        edges = np.linspace(0, len(picture), strips + 1).astype(int).tolist()
+        self._strips = [slice(a, b) for a, b in pairwise(edges)]
+
+    def _correct(self, rows: slice, usual: Image) -> None:
+        seen = usual.astype(np.float32) / self._gain(usual, rows)
+        apart = np.abs(seen - self.mean[rows]).max(axis=2) > MIN_CONTRAST
+        self.mean[rows][apart] = seen[apart]
+        self._deviation[rows][apart] = FIRST_DEVIATION

@@ -1,0 +1,111 @@
+"""Cast shadows: what the sun leaves out, learnt from the scene itself.
+
+All shadows of a scene at one time have the same colour: sky light over sky light plus sun light.
+Ratios of vehicles to the road spread widely, those of shadows pile up at one; and a shadow keeps
+the pattern of the ground below it (grain, grass, markings), which a vehicle hides. Both together
+tell a shadow from a dark car, without a threshold for how dark shadows are.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.detection.detector import Image
+from geoorbit_ros.detection.motion_pixels import scaled
+
+BINS = 48
+LOWEST, HIGHEST = 0.2, 0.92
+"""Share of green light that a shadow can leave."""
+SLACK_SHARE, SLACK_LEVELS = 0.035, 4.0
+"""How far a shadow's pixel may be from the shadow's colour: share of the road's, and levels."""
+HUE = 0.2
+"""Channels of a shadow may differ in ratio this much: the sky is bluer than the sun."""
+MEMORY_PIXELS = 300_000.0
+"""Evidence decays so that about as many pixels count."""
+MIN_PIXELS = 3000.0
+"""Fewer pixels with a shadow's colour don't say whether there are shadows."""
+MIN_PATTERN = 0.45
+"""Share of the ground's pattern that must show through."""
+FRINGE_PX = 5
+"""Soft edges of a shadow end this far from it, in pixels, both sides together."""
+_SPREAD = 3
+"""Bins of one pile on either side of its top."""
+_STEP = 5
+"""Every so manieth pixel is learnt from."""
+
+
+class ShadowModel:
+    """Learns how dark shadows are, and tells them from vehicles.
+
+    Attributes:
+        ratio: (3,) share of blue, green, red that shadows leave; None while there are none.
+    """
+
+    def __init__(self) -> None:
+        self._count = np.zeros(BINS)
+        self._sum = np.zeros((BINS, 3))
+        self._pattern = np.zeros((BINS, 2))
+        self.ratio: NDArray[np.float64] | None = None
+
+    def remove(self, picture: Image, road: Image, mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """The mask (H, W), 255 where picture and road differ, without shadows; learns from them."""
+        self._learn(picture, road, mask)
+        if self.ratio is None:
+            return mask
+        shade = scaled(road, self.ratio)
+        slack = cv2.convertScaleAbs(road, alpha=SLACK_SHARE, beta=SLACK_LEVELS)
+        none, most = (0, 0, 0), (0, 0, 0)
+        core = cv2.inRange(cv2.subtract(cv2.absdiff(picture, shade), slack), none, most)
+        core = cv2.bitwise_and(core, mask)
+        # Around it the shadow fades out: anything between its colour and the road's.
+        not_darker = cv2.inRange(cv2.subtract(cv2.subtract(shade, picture), slack), none, most)
+        not_lighter = cv2.inRange(cv2.subtract(cv2.subtract(picture, road), slack), none, most)
+        fringe = cv2.dilate(core, np.ones((FRINGE_PX, FRINGE_PX), np.uint8))
+        fringe = cv2.bitwise_and(fringe, cv2.bitwise_and(not_darker, not_lighter))
+        return np.asarray(cv2.subtract(mask, cv2.bitwise_or(core, fringe)), dtype=np.uint8)
+
+    def _learn(self, picture: Image, road: Image, mask: NDArray[np.uint8]) -> None:
+        where = np.flatnonzero(mask)[::_STEP]
+        base = road.reshape(-1, 3)[where].astype(np.float32)
+        ratio = picture.reshape(-1, 3)[where] / np.maximum(base, 1.0)
+        middle = ratio[:, 1]
+        sound = (np.abs(ratio - middle[:, None]) < HUE).all(axis=1)
+        sound &= (middle > LOWEST) & (middle < HIGHEST) & (base.min(axis=1) > 30.0)
+        where, ratio = where[sound], ratio[sound]
+        bins = ((ratio[:, 1] - LOWEST) * (BINS / (HIGHEST - LOWEST))).astype(np.intp)
+        bins = np.clip(bins, 0, BINS - 1)
+        seen, ground = _pattern(picture, where), _pattern(road, where)
+        fade = MEMORY_PIXELS / (MEMORY_PIXELS + len(where))
+        self._count = fade * self._count + np.bincount(bins, minlength=BINS)
+        columns = (*ratio.T, seen * ground, ground * ground)
+        added = np.column_stack([np.bincount(bins, w, BINS) for w in columns])
+        self._sum = fade * self._sum + added[:, :3]
+        self._pattern = fade * self._pattern + added[:, 3:]
+        self._find_pile()
+
+    def _find_pile(self) -> None:
+        """The densest stretch of ratios among those through which the ground shows."""
+        kernel = np.ones(2 * _SPREAD + 1)
+        count = np.convolve(self._count, kernel, mode="same")
+        seen, ground = (np.convolve(column, kernel, mode="same") for column in self._pattern.T)
+        level = np.convolve(self._sum[:, 1], kernel, mode="same") / np.maximum(count, 1e-9)
+        shown = seen / np.maximum(ground * level, 1e-9)
+        likely = np.where((count > MIN_PIXELS) & (shown > MIN_PATTERN), count, 0.0)
+        best = int(np.argmax(likely))
+        if likely[best] <= 0.0:
+            self.ratio = None
+            return
+        near = slice(max(best - _SPREAD, 0), best + _SPREAD + 1)
+        self.ratio = self._sum[near].sum(axis=0) / self._count[near].sum()
+
+
+def _pattern(image: Image, where: NDArray[np.intp]) -> NDArray[np.float32]:
+    """(N,) how much the green of each pixel at `where` exceeds that of its neighbours."""
+    width = image.shape[1]
+    green = image.reshape(-1, 3)[:, 1]
+    inside = np.clip(where, 2 * width, len(green) - 2 * width - 1)
+    steps = (-2, 2, -2 * width, 2 * width)
+    around = np.sum([green[inside + step] for step in steps], axis=0, dtype=np.float32)
+    return np.asarray(green[inside].astype(np.float32) - 0.25 * around)

@@ -1,0 +1,142 @@
+"""Node `detector`: images become boxes of vehicles."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from geometry_msgs.msg import PolygonStamped
+from numpy.typing import NDArray
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import PointCloud2
+
+from geoorbit_ros.conversions import encode_table, pixel_polygon
+from geoorbit_ros.detection.detector import Detector
+from geoorbit_ros.detection.factory import make_detector
+from geoorbit_ros.detection.road_segments import Contour, RoadSegments
+from geoorbit_ros.nodes.base import GeoOrbitNode
+from geoorbit_ros.nodes.image_stream import ImageStream
+from geoorbit_ros.nodes.latched import LATCHED
+from geoorbit_ros.nodes.process import run_node
+from geoorbit_ros.nodes.table_stream import stream_qos
+
+
+@dataclass(frozen=True, slots=True)
+class DetectorParameters:
+    """See params/detector.yaml."""
+
+    model: str
+    class_names: str
+    min_score: float
+    max_iou: float
+    any_class: bool
+    providers: str
+    threads: int
+    only_on_road: bool
+    reliability: str
+    queue_depth: int
+    restart_jump_s: float
+
+
+class DetectorNode(GeoOrbitNode[DetectorParameters]):
+    """Subscribes `image/compressed` and `image`; publishes `detections`, one table per image.
+
+    Where vehicles drive is learnt and published, latched, as `road_segments/segment_<k>` in pixels.
+
+    Attributes:
+        detections: The publisher of tables.
+
+    Raises:
+        GeoOrbitError: A parameter or the model can't be used.
+    """
+
+    name = "detector"
+    struct = DetectorParameters
+
+    def setup(self) -> None:
+        """Load the model, then start."""
+        p = self.p
+        self._detector = self._make()
+        self.get_logger().info(f"vehicles are found by {self._detector.name}")
+        self._segments: RoadSegments | None = None
+        self._outlines: list[Publisher] = []
+        self._drawn: tuple[Contour, ...] = ()
+        self.detections = self.create_publisher(
+            PointCloud2, "detections", stream_qos(p.reliability, p.queue_depth)
+        )
+        self._found = 0
+        self._stream = ImageStream(self, p, self._on_picture, self._on_restart)
+        self.diagnostics.add_check(self._fault)
+
+    def diagnostic_values(self) -> Mapping[str, object]:
+        """What detects, and what became of images and boxes."""
+        segments = self._segments
+        return {
+            "detector": self._detector.name,
+            "boxes": self._found,
+            "boxes_outside_road_segments": segments.outside if segments else 0,
+            "road_segments": len(self._drawn),
+            "dropped": self._stream.dropped,
+            "detections_subscribers": self.detections.get_subscription_count(),
+        }
+
+    def close(self) -> None:
+        """End the thread."""
+        self._stream.stop()
+
+    def _make(self) -> Detector:
+        p = self.p
+        return make_detector(
+            Path(p.model) if p.model else None,
+            min_score=p.min_score,
+            max_iou=p.max_iou,
+            any_class=p.any_class,
+            class_names=_words(p.class_names),
+            providers=_words(p.providers),
+            threads=p.threads,
+        )
+
+    def _on_picture(self, stamp_ns: int, frame_id: str, picture: NDArray[np.uint8]) -> None:
+        rows = self._detector.detect(stamp_ns, picture)
+        if self._segments is None:
+            self._segments = RoadSegments((picture.shape[1], picture.shape[0]))
+        inside = self._segments.add(stamp_ns, rows)
+        self._found += len(rows)
+        kept = rows[inside] if self.p.only_on_road else rows
+        self.publish_stream(self.detections, encode_table(stamp_ns, frame_id, kept))
+        if self._segments.contours is not self._drawn:
+            self._drawn = self._segments.contours
+            self._publish_segments(stamp_ns, frame_id)
+
+    def _publish_segments(self, stamp_ns: int, frame_id: str) -> None:
+        """One latched polygon per segment; a segment that is gone becomes an empty one."""
+        for k in range(len(self._outlines), len(self._drawn)):
+            topic = f"road_segments/segment_{k}"
+            self._outlines.append(self.create_publisher(PolygonStamped, topic, LATCHED))
+        nothing = np.empty((0, 2), dtype=np.float32)
+        for k, publisher in enumerate(self._outlines):
+            contour = self._drawn[k] if k < len(self._drawn) else nothing
+            publisher.publish(pixel_polygon(stamp_ns, frame_id, contour))
+
+    def _on_restart(self) -> None:
+        """The road stays where it is: nothing is forgotten."""
+
+    def _fault(self) -> str | None:
+        error = self._stream.error
+        return f"stopped by a defect: {type(error).__name__}: {error}" if error else None
+
+
+def _words(text: str) -> tuple[str, ...]:
+    return tuple(word.strip() for word in text.split(",") if word.strip())
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node in this process."""
+    return run_node(DetectorNode, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
