@@ -7,7 +7,6 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -103,12 +102,11 @@ def _make(plan: NodePlan) -> GeoOrbitNode[Any]:
     return make(namespace=plan.namespace or None, overrides=plan.parameters)
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """`python -m geoorbit_ros.nodes.group PLAN.json DESCRIPTOR`."""
-    plan_file, descriptor = args or sys.argv[1:]
+def run_plan(plan_file: str, descriptor: str) -> int:
+    """What `python -m geoorbit_ros.nodes.group PLAN.json DESCRIPTOR` does."""
     plan = ProcessPlan.from_json(Path(plan_file).read_text(encoding="utf-8"), plan_file)
     return run_group(plan, Heartbeat(int(descriptor)))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_plan(*sys.argv[1:]))

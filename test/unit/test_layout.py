@@ -19,6 +19,7 @@ REQUIREMENTS = REPOSITORY / "requirements"
 # Imported name → distribution on the package index, where they differ.
 DISTRIBUTIONS = {
     "cv2": "opencv-python-headless",
+    "foxglove": "foxglove-sdk",
     "sklearn": "scikit-learn",
     "sumo": "eclipse-sumo",
     "yaml": "pyyaml",
