@@ -26,13 +26,15 @@ def add_skyline(
     heights = _ridge(random, width)
     low, high = TREE_HEIGHT_M
     tree = base - per_metre * (low + (high - low) * heights)
-    row = np.arange(height)[:, None] + 0.5
+    first, last = np.clip([np.floor(tree.min()), np.ceil(base.max()) + 1], 0, height).astype(int)
+    row = np.arange(first, last)[:, None] + 0.5
     share = np.clip(row - tree[None, :], 0.0, 1.0) * np.clip(base[None, :] - row, 0.0, 1.0)
     clear = np.exp(-TREES_M / light.haze_m)
     leaves = channels(TREE) * (channels(light.ambient) + 0.35 * channels(light.sun))
-    grain = 1.0 + 0.16 * random.standard_normal((height, width)).astype(np.float32)
+    grain = 1.0 + 0.16 * random.standard_normal((last - first, width)).astype(np.float32)
     colour = (leaves * grain[..., None]) * clear + channels(light.horizon) * (1.0 - clear)
-    picture += (colour.astype(np.float32) - picture) * share[..., None].astype(np.float32)
+    part = picture[first:last]
+    part += (colour.astype(np.float32) - part) * share[..., None].astype(np.float32)
 
 
 def _row_at(

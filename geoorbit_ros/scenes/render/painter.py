@@ -85,8 +85,9 @@ class Painter:
     def paint(self, picture: NDArray[np.uint8], body: Body, view: View) -> None:
         """Draw a vehicle over a picture (H, W, 3)."""
         height, width = picture.shape[:2]
-        low = np.maximum(np.floor(body.pixel.min(axis=0)).astype(int) - 1, 0)
-        high = np.minimum(np.ceil(body.pixel.max(axis=0)).astype(int) + 1, [width, height])
+        outline = body.pixel[body.solid.hull]
+        low = np.maximum(np.floor(outline.min(axis=0)).astype(int) - 1, 0)
+        high = np.minimum(np.ceil(outline.max(axis=0)).astype(int) + 1, [width, height])
         if np.any(high <= low):
             return
         area = picture[low[1] : high[1], low[0] : high[0]]
@@ -146,9 +147,9 @@ def silhouettes(bodies: list[Body | None]) -> Silhouettes:
         if body is None:
             hulls.append(None)
             continue
-        hull = cv2.convexHull(body.pixel.astype(np.float32))[:, 0]
-        hulls.append(np.asarray(hull, dtype=np.float32))
-        boxes[k] = [*body.pixel.min(axis=0), *body.pixel.max(axis=0)]
+        pixel = body.pixel[body.solid.hull]
+        hulls.append(np.asarray(cv2.convexHull(pixel.astype(np.float32))[:, 0], np.float32))
+        boxes[k] = [*pixel.min(axis=0), *pixel.max(axis=0)]
     return Silhouettes(hulls, boxes)
 
 

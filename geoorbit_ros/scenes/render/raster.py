@@ -37,12 +37,12 @@ def coverage(camera: PinholeCamera, strips: Iterable[Strip]) -> NDArray[np.float
             shown = (depth.min(axis=1) > NEAR_M) & np.all(high > 0.0, axis=1)
             shown &= np.all(low < [width, height], axis=1) & np.all(np.abs(high) < limit, axis=1)
             shown &= np.all(np.abs(low) < limit, axis=1)
-        for quad in pixel[shown]:
-            # Coordinates of pixel centres: a subpixel's middle lies half a subpixel inside.
-            fine = quad * SAMPLES - 0.5
-            thickness = _thickness(fine)
-            level = 255 if thickness > 8.0 else round(255 * thickness / (thickness + 1.0))
-            points = np.rint(fine * (1 << _SHIFT)).astype(np.int32)
+        # Coordinates of pixel centres: a subpixel's middle lies half a subpixel inside.
+        fine = pixel[shown] * SAMPLES - 0.5
+        thin = _thickness(fine)
+        levels = np.where(thin > 8.0, 255, np.rint(255 * thin / (thin + 1.0))).astype(int)
+        corners_px = np.rint(fine * (1 << _SHIFT)).astype(np.int32)
+        for points, level in zip(corners_px, levels.tolist(), strict=True):
             if level == 255:
                 cv2.fillConvexPoly(mask, points, 255, cv2.LINE_8, _SHIFT)
             else:
@@ -51,12 +51,12 @@ def coverage(camera: PinholeCamera, strips: Iterable[Strip]) -> NDArray[np.float
     return small.astype(np.float32) / np.float32(255.0)
 
 
-def _thickness(quad: NDArray[np.float64]) -> float:
-    """The smaller extent of a quadrilateral: area over its longest side."""
-    x, y = quad.T
-    area = 0.5 * abs(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1)))
-    longest = np.hypot(*(quad - np.roll(quad, -1, axis=0)).T).max()
-    return float(area / max(longest, 1e-9))
+def _thickness(quads: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N,) the smaller extent of quadrilaterals (N, 4, 2): area over longest side."""
+    following = np.roll(quads, -1, axis=1)
+    cross = quads[..., 0] * following[..., 1] - quads[..., 1] * following[..., 0]
+    longest = np.hypot(*np.moveaxis(quads - following, 2, 0)).max(axis=1)
+    return np.asarray(0.5 * np.abs(cross.sum(axis=1)) / np.maximum(longest, 1e-9))
 
 
 def _fill_brighter(mask: NDArray[np.uint8], points: NDArray[np.int32], level: int) -> None:

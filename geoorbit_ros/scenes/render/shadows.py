@@ -50,14 +50,15 @@ class Shadows:
         beneath = np.zeros((height, width), np.uint8)
         cast = np.zeros((height, width), np.uint8)
         for body in bodies:
+            outline = body.world[body.solid.hull]
             if self._sunny:
-                ground = body.world[:, :2] - body.world[:, 2:] * self._cast
+                ground = outline[:, :2] - outline[:, 2:] * self._cast
                 self._fill(cast, ground, 0.0, round(255 * sunshine))
             if self._wet:
-                self._fill(beneath, body.world[:, :2], -body.world[:, 2], round(255 * _MIRROR))
+                self._fill(beneath, outline[:, :2], -outline[:, 2], round(255 * _MIRROR))
         for body in bodies:
-            low = body.world[body.world[:, 2] < 0.6]
-            self._fill(beneath, low[:, :2], 0.0, round(255 * _BENEATH))
+            outline = body.world[body.solid.hull]
+            self._fill(beneath, outline[outline[:, 2] < 0.6, :2], 0.0, round(255 * _BENEATH))
         rows = np.flatnonzero((cast | beneath).any(axis=1))
         if not len(rows):
             return

@@ -8,6 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
 CAR, MOTORCYCLE, BUS, TRUCK = 2, 3, 5, 7
 """COCO classes."""
@@ -41,6 +42,7 @@ class Solid:
         materials: (F,) `Material` of each.
         tiers: (F,) parts of a higher tier cover those of a lower one.
         middles: (F,) x of the part that a face belongs to, which orders parts of one tier.
+        hull: Corner numbers on the convex hull of the whole.
         lamps: (L, 3) places of the head lights, then of as many tail lights.
     """
 
@@ -51,6 +53,7 @@ class Solid:
     materials: NDArray[np.int64]
     tiers: NDArray[np.int64]
     middles: NDArray[np.float64]
+    hull: NDArray[np.intp]
     lamps: NDArray[np.float64]
 
 
@@ -179,14 +182,16 @@ class _Builder:
 
     def solid(self) -> Solid:
         """What was collected."""
+        corners = np.concatenate(self._corners)
         return Solid(
-            np.concatenate(self._corners),
+            corners,
             self._faces,
             np.array(self._normals),
             np.array([corners.mean(axis=0) for corners in self._corners]),
             np.array(self._materials, dtype=np.int64),
             np.array(self._tiers, dtype=np.int64),
             np.array(self._middles),
+            np.asarray(ConvexHull(corners).vertices, dtype=np.intp),
             np.array(self._lamps) * self.size,
         )
 
