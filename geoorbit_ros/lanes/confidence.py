@@ -41,14 +41,17 @@ def judge(lane: Lane, evidence: LaneEvidence, was_confirmed: bool) -> Lane:
         evidence: What speaks for it.
         was_confirmed: Whether an earlier map had it confirmed.
     """
-    confidence = _confidence(evidence.vehicles, evidence)
+    beside_traffic = _beside_traffic(evidence)
+    confidence = (1.0 - float(np.exp(-evidence.vehicles / VEHICLE_SCALE))) * beside_traffic
     confirmed = evidence.vehicles >= MIN_VEHICLES and confidence >= CONFIRM
     confirmed |= was_confirmed and confidence >= KEEP_CONFIRMED
     missing = 0
     if not confirmed:
-        wanted = np.arange(np.ceil(MIN_VEHICLES), 100.0)
-        enough = [n for n in wanted if _confidence(n, evidence) >= CONFIRM]
-        target = enough[0] if enough else evidence.vehicles + MIN_VEHICLES
+        target = evidence.vehicles + MIN_VEHICLES
+        if beside_traffic > CONFIRM:
+            target = max(
+                MIN_VEHICLES, -VEHICLE_SCALE * float(np.log(1.0 - CONFIRM / beside_traffic))
+            )
         missing = max(1, int(np.ceil(target - evidence.vehicles)))
     return replace(
         lane,
@@ -58,11 +61,11 @@ def judge(lane: Lane, evidence: LaneEvidence, was_confirmed: bool) -> Lane:
     )
 
 
-def _confidence(vehicles: float, evidence: LaneEvidence) -> float:
-    traffic = 1.0 - np.exp(-vehicles / VEHICLE_SCALE)
+def _beside_traffic(evidence: LaneEvidence) -> float:
+    """The confidence that any number of vehicles would give."""
     # Half the band's traffic driving across is common at a merge; nearly all of it is no lane.
     along = 1.0 / (1.0 + np.exp(-(evidence.lane_share - 0.3) / 0.06))
     long = 1.0 - np.exp(-evidence.length / 0.5)
     # Where vehicles fade from sight, tails of broken tracks form bundles that are no lanes.
     sight = 1.0 / (1.0 + np.exp(-(evidence.presence - 0.25) / 0.04))
-    return float(traffic * along * long * sight)
+    return float(along * long * sight)

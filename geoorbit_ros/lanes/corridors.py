@@ -16,6 +16,8 @@ from geoorbit_ros.lanes.passes import MIN_TRAVEL_M, Passes, step_m, wrap_rad
 from geoorbit_ros.lanes.spine import Spine, trace_spine
 
 MAX_CORRIDORS = 16
+MIN_STREAM_M = 40.0
+"""Travel of all vehicles together; less is what remains of some that left their streams."""
 MAX_OFFSET_M = 40.0
 MAX_ANGLE_RAD = 0.45
 """Between a vehicle and its corridor: ramps leave at less, turning vehicles at more."""
@@ -56,7 +58,7 @@ def find_corridors(passes: Passes, known: Sequence[tuple[Spine, float]] = ()) ->
         known: Reference curves and speeds of streams found before; only traffic that fits none of
             them makes a new one.
     """
-    owner = passes.pass_of_node()
+    owner = passes.owner
     step = np.append(0.0, step_m(*passes.xy.T))
     step[passes.offset[:-1]] = 0.0
     elapsed = np.append(0.0, np.diff(passes.time_s))
@@ -70,7 +72,7 @@ def find_corridors(passes: Passes, known: Sequence[tuple[Spine, float]] = ()) ->
             corridors.append(corridor)
     while left.any() and len(corridors) < MAX_CORRIDORS:
         remaining = np.bincount(owner, step * left, len(passes))
-        if remaining.max() < MIN_TRAVEL_M:
+        if remaining.max() < MIN_TRAVEL_M or remaining.sum() < MIN_STREAM_M:
             break
         seed_pass = int(np.argmax(remaining * _straightness(passes, owner, left)))
         seed = np.flatnonzero(left & (owner == seed_pass))
@@ -124,11 +126,11 @@ def _corridor(
 
 def _median_speed_mps(passes: Passes, node: NDArray[np.int64], otherwise_mps: float) -> float:
     """Median speed of the passes with a whole stretch among `node` (M,), ascending."""
-    owner = passes.pass_of_node()[node]
+    owner = passes.owner[node]
     same = (np.diff(owner) == 0) & (np.diff(node) == 1)
     if not same.any():
         return otherwise_mps
-    step = np.hypot(*np.diff(passes.xy[node], axis=0)[same].T)
+    step = step_m(*passes.xy[node].T)[same]
     elapsed = np.diff(passes.time_s[node])[same]
     distance = np.bincount(owner[1:][same], step)
     duration = np.bincount(owner[1:][same], elapsed)

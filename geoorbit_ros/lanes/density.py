@@ -8,11 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
+from geoorbit_ros.lanes.grouped import totals
 from geoorbit_ros.lanes.profiles import Profiles
 
 BIN_M = 0.2
 ALONG_BLUR_STATIONS = 2.0
 ALONG_REACH = 4
+SPAN_M = 1000.0
+"""Wider than any corridor: orders crests by station, then by offset, in one number."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,47 +36,66 @@ class Crests:
     """Prominent maxima across the road, ordered by station, then by offset.
 
     Attributes:
-        first: (J + 1,) the crests of station j are `slice(first[j], first[j + 1])`.
+        station: (C,) where each crest is.
         d: (C,) offset, metres left of the spine.
         height: (C,) vehicles per metre.
     """
 
-    first: NDArray[np.int64]
+    station: NDArray[np.int64]
     d: NDArray[np.float64]
     height: NDArray[np.float64]
 
+    def nearest(
+        self, station: NDArray[np.int64], d: NDArray[np.float64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """The crest nearest to each place (N,) and its distance, huge when there is none."""
+        key, wanted = self.station * SPAN_M + self.d, station * SPAN_M + d
+        above = np.minimum(np.searchsorted(key, wanted), len(key) - 1)
+        below = np.maximum(above - 1, 0)
+        up, down = np.abs(key[above] - wanted), np.abs(key[below] - wanted)
+        return np.where(up < down, above, below), np.minimum(up, down)
 
-def lateral_density(profiles: Profiles, blur_m: float, trust: NDArray[np.float64]) -> Density:
-    """Density of vehicles over stations and lateral offset, smoothed by Gaussians.
+
+class Raster:
+    """Spreads samples over (s, d), smoothed by Gaussians.
 
     Args:
         profiles: Lateral positions.
         blur_m: 1-sigma of the lateral kernel.
-        trust: (V, J) factor on each vehicle's weight at each station.
     """
-    row, j = np.nonzero(profiles.seen)
-    d, slope = profiles.d[row, j], profiles.slope[row, j]
-    weight = profiles.weight[row] * trust[row, j]
-    margin = 4.0 * blur_m + BIN_M
-    # Bin edges are tied to the data, not to the spine: a shifted spine gives shifted bins.
-    low = d.min() - margin
-    bins = int(np.ceil((d.max() + margin - low) / BIN_M)) + 1
-    stations = len(profiles.station_m)
-    # Along the road each vehicle is blurred in its own direction: ramps stay as sharp as lanes.
-    shift = np.arange(-ALONG_REACH, ALONG_REACH + 1)
-    share = np.exp(-0.5 * (shift / ALONG_BLUR_STATIONS) ** 2)
-    share /= share.sum()
-    at = (d - low + np.multiply.outer(shift * profiles.step_m, slope)) / BIN_M
-    left = at.astype(np.int64)
-    station = j + shift[:, None]
-    use = (station >= 0) & (station < stations) & (at >= 0.0) & (left < bins - 1)
-    cell, part = (station * bins + left)[use], (at - left)[use]
-    mass = np.multiply.outer(share, weight)[use]
-    grid = np.bincount(cell, mass * (1.0 - part), stations * bins)
-    grid += np.bincount(cell + 1, mass * part, stations * bins)
-    image = grid.reshape(stations, bins)
-    image = gaussian_filter1d(image, blur_m / BIN_M, axis=1, mode="constant", truncate=3.0)
-    return Density(low + BIN_M * np.arange(bins), image / BIN_M)
+
+    def __init__(self, profiles: Profiles, blur_m: float) -> None:
+        # Along the road each vehicle is blurred in its own direction: ramps stay as sharp as lanes.
+        # Every other station will do: a vehicle's neighbouring samples tell nearly the same.
+        shift = np.arange(-ALONG_REACH, ALONG_REACH + 1, 2)
+        share = np.exp(-0.5 * (shift / ALONG_BLUR_STATIONS) ** 2)
+        drift_m = profiles.slope * profiles.step_m[profiles.station]
+        at = profiles.d + np.multiply.outer(shift, drift_m)
+        # Bin edges are tied to the data, not to the spine: a shifted spine gives shifted bins.
+        margin = 3.0 * blur_m + 2.0 * BIN_M
+        low, high = float(at.min()) - margin, float(at.max()) + margin
+        self._offset_m = np.arange(low, high, BIN_M)
+        bins = len(self._offset_m)
+        at = (at - low) / BIN_M
+        left = at.astype(np.int64)
+        self._part = at - left
+        self._cell = left + (profiles.station + shift[:, None]) * bins
+        self._share = share / share.sum()
+        self._shape = (len(profiles.station_m), bins)
+        self._blur = blur_m / BIN_M
+
+    def density(self, weight: NDArray[np.float64]) -> Density:
+        """Density of samples that count `weight` (S,) vehicles each."""
+        mass = np.multiply.outer(self._share, weight)
+        right = mass * self._part
+        size = self._shape[0] * self._shape[1]
+        cell = self._cell.ravel()
+        grid = totals(cell, (mass - right).ravel(), size)
+        # The neighbouring bin's share: the same cells, one further.
+        grid[1:] += totals(cell, right.ravel(), size)[:-1]
+        image = grid.reshape(self._shape)
+        image = gaussian_filter1d(image, self._blur, axis=1, mode="constant", truncate=3.0)
+        return Density(self._offset_m, image / BIN_M)
 
 
 def find_crests(density: Density, min_height: float, prominence: float) -> Crests:
@@ -97,13 +119,16 @@ def find_crests(density: Density, min_height: float, prominence: float) -> Crest
         depth = 1.0 - saddle / np.minimum(height[:-1], height[1:])
         depth[np.diff(k // bins) != 0] = np.inf
         # The shallowest saddle among its neighbours goes first, and with it the lower crest.
-        before, after = np.append(np.inf, depth[:-1]), np.append(depth[1:], np.inf)
-        shallow = np.flatnonzero((depth < prominence) & (depth <= before) & (depth < after))
+        least = depth < prominence
+        least[1:] &= depth[1:] <= depth[:-1]
+        least[:-1] &= depth[:-1] < depth[1:]
+        shallow = np.flatnonzero(least)
         if len(shallow) == 0:
             break
-        k = np.delete(k, shallow + (height[shallow] >= height[shallow + 1]))
+        keep = np.ones(len(k), bool)
+        keep[shallow + (height[shallow] >= height[shallow + 1])] = False
+        k = k[keep]
     below, at, above = flat[k - 1], flat[k], flat[k + 1]
     curve = np.minimum(below - 2.0 * at + above, -1e-12)
     shift = np.clip(0.5 * (below - above) / curve, -0.5, 0.5)
-    first = np.searchsorted(k // bins, np.arange(len(value) + 1))
-    return Crests(first, density.offset_m[k % bins] + BIN_M * shift, at)
+    return Crests(k // bins, density.offset_m[k % bins] + BIN_M * shift, at)

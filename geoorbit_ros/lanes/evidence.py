@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.tables import TRACK_DTYPE
+from geoorbit_ros.lanes.grouped import changes
 from geoorbit_ros.lanes.passes import (
     MAX_GAP_S,
     MAX_PIECE_S,
@@ -13,6 +14,7 @@ from geoorbit_ros.lanes.passes import (
     concatenate,
     condense,
     empty_passes,
+    newest,
     select,
 )
 from geoorbit_ros.lanes.track_rows import TrackRows, no_rows, order_by_track, usable_rows
@@ -21,6 +23,8 @@ MAX_PASSES = 1500
 """Newest passes kept: ten minutes of a busy motorway, most of a day on a quiet road."""
 HALF_LIFE_S = 6 * 3600.0
 """Time after which a pass counts half: a work zone shows by the next rush hour."""
+FRAME_PERIOD_S = 1.0 / 15.0
+"""One frame per period is enough: what is wrong with a box is alike from frame to frame."""
 MAX_SIGMA_M = 2.0
 """Rows less certain than this tell nothing about lanes."""
 
@@ -41,6 +45,7 @@ class Evidence:
         self._now_ns = 0
         self._stamps: list[int] = []
         self._chunks: list[bytes] = []
+        self._frame = (-1.0, -1.0)
         self._open = no_rows()
         self._finished = empty_passes()
         self._finished_ever = 0
@@ -48,16 +53,12 @@ class Evidence:
     @property
     def stamp_ns(self) -> int:
         """Capture time of the newest row."""
-        return self._now_ns
+        return self._stamps[-1] if self._stamps else self._now_ns
 
     def add(self, stamp_ns: int, rows: NDArray[np.void]) -> None:
         """Take one frame; rows are copied."""
-        if self._epoch_ns is None:
-            self._epoch_ns = stamp_ns
-        self._now_ns = stamp_ns
-        if len(rows):
-            self._stamps.append(stamp_ns)
-            self._chunks.append(rows.tobytes())
+        self._stamps.append(stamp_ns)
+        self._chunks.append(rows.tobytes())
 
     def passes(self) -> tuple[Passes, NDArray[np.float64]]:
         """All passes, finished ones first, and the worth (P,) of each by its age."""
@@ -72,45 +73,53 @@ class Evidence:
 
     def finished_after(self, count: int, stamp_ns: int) -> Passes:
         """Passes finished after the first `count` that also began after `stamp_ns`."""
-        new = min(self._finished_ever - count, len(self._finished))
-        keep = np.zeros(len(self._finished), bool)
-        keep[len(keep) - new :] = True
-        begin_s = self._finished.time_s[self._finished.offset[:-1]]
-        keep &= begin_s > (stamp_ns - (self._epoch_ns or 0)) * 1e-9
-        return select(self._finished, keep)
+        new = newest(self._finished, self._finished_ever - count)
+        begin_s = new.time_s[new.offset[:-1]]
+        return select(new, begin_s > (stamp_ns - (self._epoch_ns or 0)) * 1e-9)
 
     def settle(self) -> float:
         """Move tracks that have ended from rows to passes; return the time in seconds."""
-        now_s = (self._now_ns - (self._epoch_ns or 0)) * 1e-9
         rows = self._open.followed_by(self._fresh_rows())
+        now_s = (self._now_ns - (self._epoch_ns or 0)) * 1e-9
         if len(rows) == 0:
             return now_s
-        rows = rows.take(order_by_track(rows.track))
-        new = np.append(True, (np.diff(rows.track) != 0) | (np.diff(rows.time_s) > MAX_GAP_S))
+        order = order_by_track(rows.track)
+        track, time_s = rows.track[order], rows.time_s[order]
+        new = changes(track)
+        new[1:] |= np.diff(time_s) > MAX_GAP_S
         first = np.flatnonzero(new)
         counts = np.diff(first, append=len(rows))
-        end_s = rows.time_s[first + counts - 1]
+        begin_s, end_s = time_s[first], time_s[first + counts - 1]
         # All of a track that has ended, and the whole pieces of one that goes on.
-        piece = np.floor((end_s - rows.time_s[first]) / MAX_PIECE_S)
-        until_s = rows.time_s[first] + MAX_PIECE_S * piece
+        until_s = begin_s + MAX_PIECE_S * np.floor((end_s - begin_s) / MAX_PIECE_S)
         until_s[end_s < now_s - MAX_GAP_S] = np.inf
-        done = rows.time_s < np.repeat(until_s, counts)
-        part = condense(rows.take(np.flatnonzero(done)))
+        done = time_s < np.repeat(until_s, counts)
+        part = condense(rows.take(order[done]))
         self._finished_ever += len(part)
         self._finished = self._trim(concatenate([self._finished, part]), now_s)
-        self._open = rows.take(np.flatnonzero(~done))
+        self._open = rows.take(order[~done])
         return now_s
 
     def _fresh_rows(self) -> TrackRows:
         """The rows that came since the last call."""
         if not self._chunks:
             return no_rows()
+        if self._epoch_ns is None:
+            self._epoch_ns = self._stamps[0]
+        self._now_ns = self._stamps[-1]
+        time_s = (np.array(self._stamps) - self._epoch_ns) * 1e-9
+        # The first frame of each period, in as many calls as it came.
+        period = np.floor(time_s / FRAME_PERIOD_S + 0.25)
+        new = changes(np.append(self._frame[0], period))[1:]
+        frame_s = np.append(self._frame[1], time_s[new])[np.cumsum(new)]
+        self._frame = float(period[-1]), float(frame_s[-1])
+        index = np.flatnonzero(time_s == frame_s)
         # Joining bytes is far cheaper than concatenating thousands of structured arrays.
-        rows = np.frombuffer(b"".join(self._chunks), TRACK_DTYPE)
-        counts = [len(chunk) // TRACK_DTYPE.itemsize for chunk in self._chunks]
-        time_s = (np.array(self._stamps) - (self._epoch_ns or 0)) * 1e-9
+        chunks = [self._chunks[k] for k in index.tolist()]
+        rows = np.frombuffer(b"".join(chunks), TRACK_DTYPE)
+        counts = [len(chunk) // TRACK_DTYPE.itemsize for chunk in chunks]
         self._stamps, self._chunks = [], []
-        return usable_rows(np.repeat(time_s, counts), rows, self._max_sigma_m)
+        return usable_rows(np.repeat(time_s[index], counts), rows, self._max_sigma_m)
 
     def _worth(self, passes: Passes, now_s: float) -> NDArray[np.float64]:
         end = passes.time_s[passes.offset[1:] - 1] if len(passes) else np.empty(0)

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from geoorbit_ros.core.lanes import Lane
-from geoorbit_ros.lanes.passes import Passes, wrap_rad
+from geoorbit_ros.lanes.grouped import totals
+from geoorbit_ros.lanes.passes import Passes, step_m, wrap_rad
 
 NEAR_M = 1.5
 """From a lane's middle; a vehicle farther away is beside the lane."""
@@ -22,18 +23,28 @@ ALONG_RAD = 0.3
 SAMPLE_M = 2.0
 SUPPORT_M = 12.0
 """Travel in a lane that makes a vehicle one of its own; less where the lane is short."""
+STRAY_M = 25.0
+"""Travel off all known lanes that may be along an unknown one: broken tracks are shorter."""
+CELL_M = 6.0
+CELLS_PER_TURN = 8
+BUNDLES = frozenset(3 * 4**k for k in range(12))
+"""Numbers of vehicles off the known lanes, all through one place, that may be a lane: three, and
+then ever more, since a place that made no lane before seldom makes one now."""
 
 
 class LaneCounter:
-    """Assigns passes to the lanes of one map.
+    """Assigns passes to the lanes of one map, and counts them.
 
     Args:
         lanes: The map's lanes.
+
+    Attributes:
+        vehicles: (L,) passes counted into each lane so far.
     """
 
     def __init__(self, lanes: Sequence[Lane]) -> None:
         lines = [_dense(lane.centerline_m) for lane in lanes]
-        self._count = len(lines)
+        self.vehicles = np.zeros(len(lines), np.int64)
         self._owner = np.repeat(np.arange(len(lines)), [len(line) for line in lines])
         headings = [np.arctan2(*np.gradient(line, axis=0).T[::-1]) for line in lines]
         self._heading = np.concatenate(headings) if lines else np.empty(0)
@@ -41,28 +52,47 @@ class LaneCounter:
         lengths = np.array([lane.length_m for lane in lanes])
         self._wanted_m = np.minimum(SUPPORT_M, 0.5 * lengths)
 
-    def count(self, passes: Passes) -> tuple[NDArray[np.int64], int]:
-        """Vehicles per lane (L,), and how many passes drive along no lane.
-
-        Args:
-            passes: New traffic.
-        """
+    def add(self, passes: Passes) -> NDArray[np.int64]:
+        """Count new traffic; returns the nodes that are off the lanes, of passes long off them."""
         if self._tree is None or len(passes) == 0:
-            return np.zeros(self._count, np.int64), len(passes)
+            return np.arange(len(passes.xy))
         distance, at = self._tree.query(passes.xy, distance_upper_bound=NEAR_M)
         near = np.isfinite(distance)
         at = np.where(near, at, 0)
         near &= np.abs(wrap_rad(passes.heading - self._heading[at])) <= ALONG_RAD
-        owner = passes.pass_of_node()
-        step = np.append(0.0, np.hypot(*np.diff(passes.xy, axis=0).T))
+        step = np.append(0.0, step_m(*passes.xy.T))
         step[passes.offset[:-1]] = 0.0
-        cell = owner[near] * self._count + self._owner[at[near]]
-        travel = np.bincount(cell, step[near], len(passes) * self._count)
-        inside = travel.reshape(len(passes), self._count) >= self._wanted_m
-        return inside.sum(axis=0), int((~inside.any(axis=1)).sum())
+        count = len(self.vehicles)
+        cell = passes.owner[near] * count + self._owner[at[near]]
+        travel = totals(cell, step[near], len(passes) * count).reshape(len(passes), count)
+        self.vehicles += np.sum(travel >= self._wanted_m, axis=0)
+        away = totals(passes.owner, step * ~near, len(passes))
+        return np.flatnonzero(~near & (away >= STRAY_M)[passes.owner])
+
+
+class Strays:
+    """Where vehicles drive that no known lane explains, for as long as the camera runs."""
+
+    def __init__(self) -> None:
+        self._count: dict[tuple[int, ...], int] = {}
+
+    def add(self, passes: Passes, node: NDArray[np.int64]) -> bool:
+        """Count passes at their nodes `node` (M,), which are off the lanes.
+
+        Returns:
+            Whether the number of them at some place has come to be one of `BUNDLES`.
+        """
+        sector = np.rint(passes.heading[node] * (CELLS_PER_TURN / (2.0 * np.pi))) % CELLS_PER_TURN
+        cell = np.column_stack([passes.owner[node], np.floor(passes.xy[node] / CELL_M), sector])
+        bundle = False
+        for _, *place in set(map(tuple, cell.astype(np.int64).tolist())):
+            key = tuple(place)
+            self._count[key] = self._count.get(key, 0) + 1
+            bundle |= self._count[key] in BUNDLES
+        return bundle
 
 
 def _dense(line: NDArray[np.float64]) -> NDArray[np.float64]:
-    arc = np.append(0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T)))
+    arc = np.append(0.0, np.cumsum(step_m(*line.T)))
     at = np.linspace(0.0, arc[-1], max(2, int(arc[-1] / SAMPLE_M) + 1))
     return np.column_stack([np.interp(at, arc, line[:, k]) for k in range(2)])

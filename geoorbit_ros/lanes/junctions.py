@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.lanes.grouped import quantile
 from geoorbit_ros.lanes.ridges import MIN_SPACING_M, MIN_STATIONS, Ridge
 
 BESIDE_M = 5.5
@@ -28,7 +29,7 @@ def hand_over(ridges: list[Ridge], stations: int) -> list[Ridge]:
     return [_mirrored(r, stations) for r in backward]
 
 
-def lane_directions(ridges: list[Ridge], step_m: float) -> list[NDArray[np.float64]]:
+def lane_directions(ridges: list[Ridge], step_m: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     """Slope dd/ds of driving along each ridge.
 
     Where vehicles leave or enter a lane side by side with another, the crest follows them; there
@@ -36,24 +37,26 @@ def lane_directions(ridges: list[Ridge], step_m: float) -> list[NDArray[np.float
 
     Args:
         ridges: Candidate lanes.
-        step_m: Distance between stations.
+        step_m: (J,) distance between stations.
     """
-    slopes = [np.gradient(r.d, step_m) for r in ridges]
+    slopes = [_gradient(r.d) / step_m[r.first] for r in ridges]
     result = []
     for own, slope in zip(ridges, slopes, strict=True):
         direction = slope.copy()
         best = np.where(own.height > 0.0, own.weight, 0.0)
         for other, other_slope in zip(ridges, slopes, strict=True):
             low = max(own.first, other.first)
-            high = min(own.first + len(own.d), other.first + len(other.d))
+            high = min(own.end, other.end)
             if other is own or high - low < 2 * MIN_STATIONS:
                 continue
             here = slice(low - own.first, high - own.first)
             there = slice(low - other.first, high - other.first)
-            beside = np.abs(own.d[here] - other.d[there]) <= BESIDE_M
-            if other.weight <= own.weight or not beside.any():
+            if other.weight <= own.weight:
                 continue
-            if np.median(np.abs(slope[here] - other_slope[there])) > PARALLEL:
+            beside = np.abs(own.d[here] - other.d[there]) <= BESIDE_M
+            if not beside.any():
+                continue
+            if quantile(np.abs(slope[here] - other_slope[there]), 0.5) > PARALLEL:
                 continue
             better = beside & (other.weight > best[here])
             direction[here] = np.where(better, other_slope[there], direction[here])
@@ -62,11 +65,17 @@ def lane_directions(ridges: list[Ridge], step_m: float) -> list[NDArray[np.float
     return result
 
 
+def _gradient(value: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Per station, as np.gradient, at a fifth of its time."""
+    step = np.diff(value)
+    return np.concatenate([step[:1], 0.5 * (step[1:] + step[:-1]), step[-1:]])
+
+
 def is_alone(ridge: Ridge, ridges: list[Ridge]) -> bool:
     """Whether no other ridge runs beside this one anywhere."""
     for other in ridges:
         low = max(ridge.first, other.first)
-        high = min(ridge.first + len(ridge.d), other.first + len(other.d))
+        high = min(ridge.end, other.end)
         if other is ridge or high <= low:
             continue
         gap = ridge.d[low - ridge.first : high - ridge.first]
@@ -88,7 +97,7 @@ def _give_tails(ridges: list[Ridge]) -> list[Ridge]:
             if i == k or (found := _junction(ending, going)) is None:
                 continue
             cut = found - going.first
-            end = ending.first + len(ending.d)
+            end = ending.end
             share = np.linspace(0.0, 1.0, found - end + 2)[1:-1]
             between = ending.d[-1] + share * (going.d[cut] - ending.d[-1])
             result[i] = Ridge(
@@ -103,15 +112,15 @@ def _give_tails(ridges: list[Ridge]) -> list[Ridge]:
 
 def _junction(ending: Ridge, going: Ridge) -> int | None:
     """Station at which `going` has come onto the straight continuation of `ending`, if it has."""
-    end = ending.first + len(ending.d)
+    end = ending.end
     if min(len(ending.d), end - going.first) < 2 * MIN_STATIONS:
         return None
-    if going.first + len(going.d) < end + MIN_STATIONS:
+    if going.end < end + MIN_STATIONS:
         return None
     if abs(going.d[end - 1 - going.first] - ending.d[-1]) > MIN_SPACING_M:
         return None
     # The last stations before the crests melt are already drawn to each other.
-    later = np.arange(end, min(going.first + len(going.d), end + 5 * MIN_STATIONS))
+    later = np.arange(end, min(going.end, end + 5 * MIN_STATIONS))
     after = going.d[later - going.first]
     own = np.abs(after - _continued(going, going.first, end - MIN_STATIONS, later))
     other = np.abs(after - _continued(ending, ending.first, end - MIN_STATIONS, later))
@@ -124,5 +133,7 @@ def _junction(ending: Ridge, going: Ridge) -> int | None:
 def _continued(ridge: Ridge, first: int, last: int, at: NDArray[np.int64]) -> NDArray[np.float64]:
     """A ridge's straight continuation, from its stations before `last`."""
     base = np.arange(max(first, last - 3 * MIN_STATIONS), last)
-    slope, offset = np.polyfit(base, ridge.d[base - ridge.first], 1)
-    return np.asarray(slope * at + offset)
+    d = ridge.d[base - ridge.first]
+    away = base - base.mean()
+    slope = float(away @ d) / float(away @ away)
+    return np.asarray(d.mean() + slope * (at - base.mean()))

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.lanes.centerlines import Centerline
+from geoorbit_ros.lanes.grouped import quantile
 from geoorbit_ros.lanes.widths import SPACING_RANGE_M
 
 DRIFT_M = 0.2
@@ -28,8 +29,10 @@ MIN_STATIONS = 6
 def straighten_ends(lines: Sequence[Centerline]) -> list[Centerline]:
     """Keep each emptying lane beside its busier neighbour, and end it where it is empty."""
     result = list(lines)
-    for k in sorted(range(len(lines)), key=lambda i: float(lines[i].support.sum())):
-        for other in sorted(range(len(lines)), key=lambda i: -float(lines[i].support.sum())):
+    traffic = np.array([line.support.sum() for line in lines])
+    busiest = np.argsort(-traffic, kind="stable").tolist()
+    for k in np.argsort(traffic, kind="stable").tolist():
+        for other in busiest:
             if other != k:
                 result[k] = _beside(result[k], result[other])
     return result
@@ -49,9 +52,9 @@ def _beside(line: Centerline, neighbour: Centerline) -> Centerline:
     usual = spacing[(spacing >= SPACING_RANGE_M[0]) & (spacing <= SPACING_RANGE_M[1])]
     if len(usual) < max(MIN_STATIONS, 0.5 * len(spacing)):
         return line
-    wanted = float(np.quantile(usual, USUAL_QUANTILE))
+    wanted = quantile(usual, USUAL_QUANTILE)
     drifts = spacing < wanted - DRIFT_M
-    traffic = line.support[own] / max(float(np.median(line.support[own][~drifts])), 1e-9)
+    traffic = line.support[own] / max(quantile(line.support[own][~drifts], 0.5), 1e-9)
     emptying = (traffic < EMPTYING) & (neighbour.support[there] > line.support[own])
     moved = np.zeros(len(line.d), bool)
     flag = drifts & emptying

@@ -8,14 +8,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.lanes.profiles import Profiles
-from geoorbit_ros.lanes.ridges import MIN_SPACING_M, Ridge
+from geoorbit_ros.lanes.grouped import totals
+from geoorbit_ros.lanes.profiles import STATIONS_PER_SCALE, Profiles
+from geoorbit_ros.lanes.ridges import MIN_SPACING_M, Ridge, table
 
 MAX_OFFSET_M = 0.5 * MIN_SPACING_M
 SIDEWAYS_M = 0.5
 """A vehicle that moves sideways by more than this over one road scale is changing lanes."""
+SIDEWAYS_ALONE_M = 1.5
+"""The same where no other lane is near, so that only the slope's own error matters."""
 MIN_SUPPORT = 0.6
 """Length in road scales that a vehicle must be seen in a lane to be its member."""
+FULL_SUPPORT = 1.25
+"""Length in road scales over which a vehicle must be seen in a lane to count in full."""
 BAND_M = 6.0
 """Half-width of the band, a lane and its neighbours, in which traffic is compared."""
 SAME_VEHICLE_S = 0.6
@@ -23,118 +28,152 @@ SAME_VEHICLE_S = 0.6
 closer in time are one vehicle whose track was broken or doubled."""
 
 
-SIDEWAYS_ALONE_M = 1.5
-"""The same where no other lane is near, so that only the slope's own error matters."""
-FULL_SUPPORT = 1.25
-"""Length in road scales over which a vehicle must be seen in a lane to count in full."""
-
-
 @dataclass(frozen=True, slots=True)
 class Members:
-    """The vehicles of one candidate lane.
+    """The vehicles of R candidate lanes.
 
     Attributes:
-        inside: (V, J') bool, the vehicle drives along the lane at these stations of the ridge.
-        vehicles: Number of distinct vehicles, old ones counting less.
-        evidence: The same, a vehicle seen over a short stretch counting less.
-        lane_share: Share of the traffic in the lane's band that drives along it, not across.
-        presence: Traffic in and beside the lane, as a share of the most seen in that band anywhere
-            along the corridor; small where vehicles fade from the camera's sight.
+        lane: (M,) ascending; lane and sample together say who drives along which lane where.
+        sample: (M,) numbers of samples of the profiles, ascending within a lane.
+        vehicles: (R,) number of distinct vehicles, old ones counting less.
+        evidence: (R,) the same, a vehicle seen over a short stretch counting less.
+        lane_share: (R,) share of the traffic in the lane's band that drives along it, not across.
+        presence: (R,) traffic in and beside the lane, as a share of the most seen in that band
+            anywhere along the corridor; small where vehicles fade from the camera's sight.
     """
 
-    inside: NDArray[np.bool_]
-    vehicles: float
-    evidence: float
-    lane_share: float
-    presence: float
+    lane: NDArray[np.int64]
+    sample: NDArray[np.int64]
+    vehicles: NDArray[np.float64]
+    evidence: NDArray[np.float64]
+    lane_share: NDArray[np.float64]
+    presence: NDArray[np.float64]
 
 
 def find_members(
     profiles: Profiles,
-    ridge: Ridge,
-    direction: NDArray[np.float64],
-    scale_m: float,
-    alone: bool = False,
+    ridges: Sequence[Ridge],
+    directions: Sequence[NDArray[np.float64]],
+    alone: Sequence[bool],
 ) -> Members:
-    """Vehicles that drive along `ridge` for a while.
+    """Vehicles that drive along each ridge for a while.
 
     Args:
-        profiles: All vehicles of the corridor.
-        ridge: The candidate lane.
-        direction: (J',) slope dd/ds that driving along the lane has at each of its stations.
-        scale_m: The corridor's scale.
-        alone: No other lane is beside this one, so that sideways movement is no lane change.
+        profiles: All vehicles.
+        ridges: The candidate lanes.
+        directions: Slope dd/ds that driving along each of them has at each of its stations.
+        alone: Whether no other lane is beside it, so that sideways movement is no lane change.
     """
-    cut = slice(ridge.first, ridge.first + len(ridge.d))
-    sideways_m = SIDEWAYS_ALONE_M if alone else SIDEWAYS_M
-    offset = profiles.d[:, cut] - ridge.d
-    near = profiles.seen[:, cut] & (np.abs(offset) <= MAX_OFFSET_M)
-    along = near & (np.abs(profiles.slope[:, cut] - direction) <= sideways_m / scale_m)
-    enough = along.sum(axis=1) * profiles.step_m >= MIN_SUPPORT * scale_m
-    inside = along & enough[:, None]
-    mass = float(profiles.weight @ inside.sum(axis=1))
-    stray = float(profiles.weight @ (near & ~inside).sum(axis=1))
-    wanted_m = min(FULL_SUPPORT * scale_m, 0.5 * len(ridge.d) * profiles.step_m)
-    vehicles, evidence = _distinct(profiles, inside, enough, wanted_m)
+    stations, rows = len(profiles.station_m), len(profiles.passes)
+    middle = table(ridges, [r.d for r in ridges], stations, np.inf)
+    direction = table(ridges, directions, stations, 0.0)
+    lane, sample = np.nonzero(np.abs(profiles.d - middle[:, profiles.station]) <= MAX_OFFSET_M)
+    row, station = profiles.row[sample], profiles.station[sample]
+    sideways_m = np.where(alone, SIDEWAYS_ALONE_M, SIDEWAYS_M)[lane]
+    away = np.abs(profiles.slope[sample] - direction[lane, station])
+    along = away <= sideways_m / profiles.scale_m[station]
+    pair = lane * rows + row
+    length = totals(pair, along, len(ridges) * rows) / STATIONS_PER_SCALE
+    enough = length >= MIN_SUPPORT
+    inside = along & enough[pair]
+    near = totals(lane, profiles.weight[row], len(ridges))
+    mass = totals(lane, profiles.weight[row] * inside, len(ridges))
+    lane, sample = lane[inside], sample[inside]
+    vehicles, evidence = _distinct(profiles, ridges, lane, sample, enough)
     return Members(
-        inside,
+        lane,
+        sample,
         vehicles,
         evidence,
-        mass / max(mass + stray, 1e-9),
-        _presence(profiles, ridge, inside),
+        mass / np.maximum(near, 1e-9),
+        _presence(profiles, ridges, lane, sample),
     )
 
 
 def keeping_lane(
-    profiles: Profiles,
-    ridges: Sequence[Ridge],
-    directions: Sequence[NDArray[np.float64]],
-    scale_m: float,
+    profiles: Profiles, ridges: Sequence[Ridge], directions: Sequence[NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    """(V, J) weight in (0, 1]: small where a vehicle moves across the lane nearest to it.
+    """(S,) weight in (0, 1]: small where a vehicle moves across the lane nearest to it.
 
     Args:
-        profiles: All vehicles of the corridor.
+        profiles: All vehicles.
         ridges: Candidate lanes.
         directions: Slope of driving along each of them.
-        scale_m: The corridor's scale.
     """
-    shape = profiles.seen.shape
-    nearest = np.full(shape, MIN_SPACING_M)
-    direction = profiles.slope.copy()
-    for ridge, slope in zip(ridges, directions, strict=True):
-        cut = slice(ridge.first, ridge.first + len(ridge.d))
-        offset = np.abs(profiles.d[:, cut] - ridge.d)
-        closer = offset < nearest[:, cut]
-        nearest[:, cut] = np.where(closer, offset, nearest[:, cut])
-        direction[:, cut] = np.where(closer, slope, direction[:, cut])
-    across = (profiles.slope - direction) / (0.6 * SIDEWAYS_M / scale_m)
-    return np.asarray(1.0 / (1.0 + across**4))
+    if not ridges:
+        return np.ones(len(profiles.d))
+    stations = len(profiles.station_m)
+    away = table(ridges, [r.d for r in ridges], stations, np.inf)[:, profiles.station]
+    away = np.abs(away - profiles.d)
+    nearest = away.argmin(axis=0)
+    direction = table(ridges, directions, stations, 0.0)[nearest, profiles.station]
+    across = (profiles.slope - direction) * profiles.scale_m[profiles.station]
+    across[away[nearest, np.arange(len(nearest))] >= MIN_SPACING_M] = 0.0
+    across /= 0.6 * SIDEWAYS_M
+    across *= across
+    return np.asarray(1.0 / (1.0 + across * across))
 
 
-def _presence(profiles: Profiles, ridge: Ridge, inside: NDArray[np.bool_]) -> float:
-    middle = np.interp(np.arange(profiles.seen.shape[1]), ridge.stations, ridge.d)
-    band = profiles.seen & (np.abs(profiles.d - middle) <= BAND_M)
-    traffic = profiles.weight @ band
-    cut = slice(ridge.first, ridge.first + len(ridge.d))
+def _presence(
+    profiles: Profiles,
+    ridges: Sequence[Ridge],
+    lane: NDArray[np.int64],
+    sample: NDArray[np.int64],
+) -> NDArray[np.float64]:
+    stations = len(profiles.station_m)
+    middle = np.full((len(ridges), stations), np.inf)
+    for k, ridge in enumerate(ridges):
+        here = np.flatnonzero(profiles.corridor == profiles.corridor[ridge.first])
+        middle[k, here] = np.interp(here, ridge.stations, ridge.d)
+    band = np.abs(profiles.d - middle[:, profiles.station]) <= BAND_M
+    at, seen = np.nonzero(band)
+    weight = profiles.weight[profiles.row]
+
+    def total(who: NDArray[np.int64], what: NDArray[np.int64]) -> NDArray[np.float64]:
+        cell = who * stations + profiles.station[what]
+        sums = totals(cell, weight[what], len(ridges) * stations)
+        return sums.reshape(len(ridges), stations)
+
     # Where its own vehicles are: a busy lane stays one though a few are seen far beyond.
-    own = profiles.weight @ inside
-    return float((own @ traffic[cut]) / max(own.sum() * traffic.max(), 1e-9))
+    traffic, own = total(at, seen), total(lane, sample)
+    most = own.sum(axis=1) * traffic.max(axis=1)
+    return np.asarray((own * traffic).sum(axis=1) / np.maximum(most, 1e-9))
 
 
 def _distinct(
     profiles: Profiles,
-    inside: NDArray[np.bool_],
+    ridges: Sequence[Ridge],
+    lane: NDArray[np.int64],
+    sample: NDArray[np.int64],
     member: NDArray[np.bool_],
-    wanted_m: float,
-) -> tuple[float, float]:
-    """Vehicles among passes, told apart by when each is at the corridor's middle."""
-    if not member.any():
-        return 0.0, 0.0
-    order = np.flatnonzero(member)[np.argsort(profiles.t_ref_s[member], kind="stable")]
-    gap = np.diff(profiles.t_ref_s[order])
-    first = np.flatnonzero(np.append(True, gap > SAME_VEHICLE_S))
-    weight = np.maximum.reduceat(profiles.weight[order], first)
-    stations = np.logical_or.reduceat(inside[order], first, axis=0).sum(axis=1)
-    share = np.minimum(1.0, stations * profiles.step_m / wanted_m)
-    return float(weight.sum()), float(weight @ share)
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Vehicles per lane among passes, told apart by when each is at the corridor's middle.
+
+    Args:
+        profiles: All vehicles.
+        ridges: The R candidate lanes.
+        lane: Lane of each member's sample.
+        sample: Its sample.
+        member: (R V,) which rows are members of which lanes.
+    """
+    rows = len(profiles.passes)
+    pair = np.flatnonzero(member)
+    if len(pair) == 0:
+        return np.zeros(len(ridges)), np.zeros(len(ridges))
+    owner, time_s = pair // rows, profiles.t_ref_s[pair % rows]
+    order = np.lexsort((time_s, owner))
+    pair, owner = pair[order], owner[order]
+    new = np.append(True, (np.diff(time_s[order]) > SAME_VEHICLE_S) | (np.diff(owner) != 0))
+    first = np.flatnonzero(new)
+    vehicle = np.zeros(len(member), np.int64)
+    vehicle[pair] = np.cumsum(new) - 1
+    weight = np.maximum.reduceat(profiles.weight[pair % rows], first)
+    hit = np.zeros((len(first), len(profiles.station_m)), bool)
+    hit[vehicle[lane * rows + profiles.row[sample]], profiles.station[sample]] = True
+    length = np.array([len(r.d) for r in ridges]) / STATIONS_PER_SCALE
+    wanted = np.minimum(FULL_SUPPORT, 0.5 * length)[owner[first]]
+    share = np.minimum(1.0, hit.sum(axis=1) / STATIONS_PER_SCALE / wanted)
+    return (
+        totals(owner[first], weight, len(ridges)),
+        totals(owner[first], weight * share, len(ridges)),
+    )

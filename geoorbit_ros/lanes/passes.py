@@ -8,11 +8,12 @@ and no information lost about where the lane is.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.lanes.grouped import changes
 from geoorbit_ros.lanes.track_rows import TrackRows
 
 MAX_GAP_S = 1.5
@@ -33,7 +34,7 @@ HEADING_BASE = 2
 """Nodes to either side over which a heading is measured."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Passes:
     """P passes with N nodes in all; nodes of pass p are `slice(offset[p], offset[p + 1])`.
 
@@ -56,7 +57,8 @@ class Passes:
     def __len__(self) -> int:
         return len(self.offset) - 1
 
-    def pass_of_node(self) -> NDArray[np.int64]:
+    @cached_property
+    def owner(self) -> NDArray[np.int64]:
         """(N,) index of the pass each node belongs to."""
         return np.repeat(np.arange(len(self)), np.diff(self.offset))
 
@@ -82,6 +84,20 @@ def concatenate(parts: list[Passes]) -> Passes:
         np.concatenate([p.time_s for p in parts]),
         np.append(0, np.cumsum(counts)),
         np.concatenate([p.large for p in parts]),
+    )
+
+
+def newest(passes: Passes, count: int) -> Passes:
+    """The last `count` passes, or all when there are fewer; views."""
+    first = max(0, len(passes) - count)
+    node = int(passes.offset[first])
+    return Passes(
+        passes.xy[node:],
+        passes.sigma[node:],
+        passes.heading[node:],
+        passes.time_s[node:],
+        passes.offset[first:] - node,
+        passes.large[first:],
     )
 
 
@@ -133,11 +149,11 @@ class _Nodes:
     vehicle: NDArray[np.float64]
 
     def starts(self) -> NDArray[np.bool_]:
-        return _changes(self.piece)
+        return changes(self.piece)
 
     def average(self, slot: NDArray[np.float64]) -> _Nodes:
         """One node per run of equal `slot` within a piece, weighted by 1 / sigma^2."""
-        first = np.flatnonzero(self.starts() | _changes(slot))
+        first = np.flatnonzero(self.starts() | changes(slot))
         weight = self.sigma**-2
         total = np.add.reduceat(weight, first)
 
@@ -158,17 +174,12 @@ class _Nodes:
         )
 
 
-def _changes(value: NDArray[Any]) -> NDArray[np.bool_]:
-    """(N,) where a value differs from the one before; True at the first."""
-    return np.append(True, value[1:] != value[:-1])
-
-
 def _new_vehicle(rows: TrackRows) -> NDArray[np.bool_]:
     """Where a vehicle begins: another id, a long silence, or a jump that no vehicle can make."""
     dt = np.diff(rows.time_s)
     jump_squared = np.diff(rows.x) ** 2 + np.diff(rows.y) ** 2
     reach = MAX_SPEED_MPS * dt + 4.0 * (rows.sigma[1:] + rows.sigma[:-1]) + 0.5
-    new: NDArray[np.bool_] = _changes(rows.track)
+    new: NDArray[np.bool_] = changes(rows.track)
     new[1:] |= (dt > MAX_GAP_S) | (jump_squared > reach * reach)
     return new
 
@@ -235,5 +246,5 @@ def _to_passes(nodes: _Nodes) -> Passes:
 
 
 def wrap_rad(angle: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Angle in [-pi, pi)."""
-    return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)
+    """Angle in [-pi, pi]."""
+    return np.asarray(angle - 2.0 * np.pi * np.rint(angle / (2.0 * np.pi)))

@@ -1,18 +1,28 @@
-"""Lateral profiles: where each vehicle drives, at fixed stations along its corridor."""
+"""Lateral profiles: where each vehicle drives, at fixed stations along its corridor.
+
+All corridors share one table: their stations follow each other, with `GAP_STATIONS` empty ones
+between, more than anything reaches along the road. So every later step runs once for all of them
+and need not know where one corridor ends and the next begins.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.lanes.corridors import Corridor
+from geoorbit_ros.lanes.grouped import changes, totals
 from geoorbit_ros.lanes.passes import Passes
 
 STATIONS_PER_SCALE = 4
+GAP_STATIONS = 16
 KERNEL_SHARE = 0.6
 """Half-width of the regression kernel as a share of the corridor's scale."""
+KERNEL_REACH = 2
+"""Stations to either side that a node tells about: those within the kernel."""
 SLOPE_PRIOR = 0.15
 """1-sigma of a vehicle's slope against the spine; keeps the regression of two nodes sane."""
 DRIVER_NOISE_M = 0.1
@@ -21,100 +31,143 @@ DRIVER_NOISE_M = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Profiles:
-    """V vehicle passes sampled at J stations of one corridor.
+    """V vehicle passes in their corridors, sampled S times in all at J stations.
+
+    A pass in two corridors has two rows. Samples are ordered by row, then by station.
 
     Attributes:
-        station_m: (J,) arc length of the stations, evenly spaced.
+        corridor: (J,) number of each station's corridor; half the gap on either side is its own.
+        station_m: (J,) arc length of each station along its corridor's spine, metres.
+        step_m: (J,) distance to the next station of the corridor.
+        scale_m: (J,) the corridor's scale.
         passes: (V,) index of each row's pass.
-        seen: (V, J) bool, the vehicle was observed here.
-        d: (V, J) lateral position, metres to the left of the spine; 0 where not seen.
-        slope: (V, J) dd/ds.
         t_ref_s: (V,) time at which the vehicle is, or would be, at the corridor's middle.
         weight: (V,) worth of the pass as evidence.
+        row: (S,) the vehicle of each sample.
+        station: (S,) where it was seen.
+        d: (S,) lateral position, metres to the left of the spine.
+        slope: (S,) dd/ds.
     """
 
+    corridor: NDArray[np.int64]
     station_m: NDArray[np.float64]
+    step_m: NDArray[np.float64]
+    scale_m: NDArray[np.float64]
     passes: NDArray[np.int64]
-    seen: NDArray[np.bool_]
-    d: NDArray[np.float64]
-    slope: NDArray[np.float64]
     t_ref_s: NDArray[np.float64]
     weight: NDArray[np.float64]
-
-    @property
-    def step_m(self) -> float:
-        """Distance between stations."""
-        return float(self.station_m[1] - self.station_m[0])
+    row: NDArray[np.int64]
+    station: NDArray[np.int64]
+    d: NDArray[np.float64]
+    slope: NDArray[np.float64]
 
 
 def lateral_profiles(
-    corridor: Corridor, passes: Passes, pass_weight: NDArray[np.float64]
+    corridors: Sequence[Corridor], passes: Passes, pass_weight: NDArray[np.float64]
 ) -> Profiles:
     """Local linear regression of d on s, per vehicle and station.
 
     Args:
-        corridor: Nodes with road coordinates.
+        corridors: Nodes with road coordinates; at least one corridor, none empty.
         passes: The passes that the nodes belong to.
         pass_weight: (P,) worth of each pass.
     """
-    ids, row = np.unique(passes.pass_of_node()[corridor.node], return_inverse=True)
-    step = corridor.scale_m / STATIONS_PER_SCALE
-    first = np.floor(corridor.s.min() / step)
-    station = np.arange(first, np.ceil(corridor.s.max() / step) + 2) * step
-    n, j_max = len(ids), len(station)
+    scale = np.array([c.scale_m for c in corridors])
+    step = scale / STATIONS_PER_SCALE
+    # A vehicle tells about stations up to the kernel's reach beyond its own ends.
+    low = np.floor([c.s.min() / m for c, m in zip(corridors, step, strict=True)]) - KERNEL_REACH
+    high = np.ceil([c.s.max() / m for c, m in zip(corridors, step, strict=True)]) + KERNEL_REACH
+    count = (high - low).astype(np.int64) + 1 + GAP_STATIONS
+    base = GAP_STATIONS // 2 + np.append(0, np.cumsum(count)[:-1])
+    owner = np.repeat(np.arange(len(corridors)), count)
+    station_m = (np.arange(len(owner)) - base[owner] + low[owner]) * step[owner]
 
-    half = KERNEL_SHARE * corridor.scale_m
-    reach = int(np.ceil(half / step))
-    nearest = np.rint(corridor.s / step - first).astype(np.int64)
-    precision = 1.0 / (passes.sigma[corridor.node] ** 2 + DRIVER_NOISE_M**2)
-    sums = np.zeros((6, n * j_max))
-    for shift in range(-reach, reach + 1):
-        j = nearest + shift
-        u = corridor.s - (first + j) * step
-        kernel = np.clip(1.0 - np.abs(u / half) ** 3, 0.0, None) ** 3
-        use = (kernel > 0.0) & (j >= 0) & (j < j_max)
-        cell = (row * j_max + j)[use]
-        w, uu, dd = (kernel * precision)[use], u[use], corridor.d[use]
-        for k, value in enumerate((w, w * uu, w * uu * uu, w * dd, w * uu * dd, np.ones(len(w)))):
-            sums[k] += np.bincount(cell, value, n * j_max)
-    s0, s1, s2, t0, t1, count = sums.reshape(6, n, j_max)
-    s0 = np.where(s0 > 0.0, s0, np.inf)
-    mean_u, mean_d = s1 / s0, t0 / s0
-    spread = np.where(np.isinf(s0), 0.0, s2 - s1 * mean_u)
-    slope = (t1 - t0 * mean_u) / (spread + SLOPE_PRIOR**-2)
-    d = mean_d - slope * mean_u
-
-    order = np.lexsort((corridor.s, row))
-    begin = np.searchsorted(row[order], np.arange(n))
-    end = np.append(begin[1:], len(order)) - 1
-    s_low, s_high = corridor.s[order][begin], corridor.s[order][end]
-    inside = station[None, :] >= (s_low - 0.5 * step)[:, None]
-    inside &= station[None, :] <= (s_high + 0.5 * step)[:, None]
-    seen = inside & (count >= 2)
-
-    time_s = passes.time_s[corridor.node]
-    return Profiles(
-        station,
-        ids,
-        seen,
-        np.where(seen, d, 0.0),
-        np.where(seen, slope, 0.0),
-        _time_at(row, n, corridor.s, time_s, 0.5 * (station[0] + station[-1])),
-        pass_weight[ids],
+    k = np.repeat(np.arange(len(corridors)), [len(c.node) for c in corridors])
+    node = np.concatenate([c.node for c in corridors])
+    s = np.concatenate([c.s for c in corridors])
+    d = np.concatenate([c.d for c in corridors])
+    which = passes.owner[node]
+    new = changes(which) | changes(k)
+    first, row = np.flatnonzero(new), np.cumsum(new) - 1
+    place = s / step[k] - low[k]
+    seen, row_d, row_slope = _regress(
+        place,
+        d,
+        step[k],
+        row,
+        passes.sigma[node] ** 2 + DRIVER_NOISE_M**2,
+        int((high - low).max()) + 1,
     )
+    inside = np.arange(seen.shape[1]) >= np.minimum.reduceat(place, first)[:, None] - 0.5
+    inside &= np.arange(seen.shape[1]) <= np.maximum.reduceat(place, first)[:, None] + 0.5
+    sample_row, at = np.nonzero(seen & inside)
+    middle_m = (0.5 * (low + high) * step)[k[first]]
+    return Profiles(
+        owner,
+        station_m,
+        step[owner],
+        scale[owner],
+        which[first],
+        _time_at(row, first, s, passes.time_s[node], middle_m),
+        pass_weight[which[first]],
+        sample_row,
+        base[k[first]][sample_row] + at,
+        row_d[sample_row, at],
+        row_slope[sample_row, at],
+    )
+
+
+def _regress(
+    place: NDArray[np.float64],
+    d: NDArray[np.float64],
+    step_m: NDArray[np.float64],
+    row: NDArray[np.int64],
+    variance: NDArray[np.float64],
+    stations: int,
+) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.float64]]:
+    """Whether there is enough to tell, d and dd/ds, (rows, stations) each.
+
+    Args:
+        place: (N,) where each node is, in stations of its corridor.
+        d: (N,) its offset.
+        step_m: (N,) distance between stations.
+        row: (N,) its vehicle, ascending.
+        variance: (N,) of its offset.
+        stations: Number of stations of the longest corridor.
+    """
+    j = np.rint(place).astype(np.int64) + np.arange(-KERNEL_REACH, KERNEL_REACH + 1)[:, None]
+    u = place - j
+    share = np.abs(u) * (1.0 / (KERNEL_SHARE * STATIONS_PER_SCALE))
+    kernel = np.maximum(1.0 - share * share * share, 0.0)
+    weight = kernel * kernel * kernel / variance
+    u *= step_m
+    cell = (j + stations * row).ravel()
+    shape = (int(row[-1]) + 1, stations)
+
+    def total(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return totals(cell, values.ravel(), shape[0] * shape[1]).reshape(shape)
+
+    moment = weight * u
+    s0, s1, s2 = total(weight), total(moment), total(moment * u)
+    t0, t1 = total(weight * d), total(moment * d)
+    known = total((kernel > 0.0).astype(np.float64)) >= 2.0
+    s0[~known] = np.inf
+    mean_u, mean_d = s1 / s0, t0 / s0
+    slope = (t1 - t0 * mean_u) / (s2 - s1 * mean_u + SLOPE_PRIOR**-2)
+    return known, mean_d - slope * mean_u, slope
 
 
 def _time_at(
     row: NDArray[np.int64],
-    n: int,
+    first: NDArray[np.int64],
     s: NDArray[np.float64],
     time_s: NDArray[np.float64],
-    s_ref: float,
+    s_ref: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """(n,) time at `s_ref`, extrapolated with each vehicle's mean speed."""
-    count = np.bincount(row, minlength=n)
-    s_mean = np.bincount(row, s, n) / count
-    t_mean = np.bincount(row, time_s, n) / count
+    """(V,) time of each vehicle at its `s_ref` (V,), extrapolated with its mean speed."""
+    count = np.diff(first, append=len(row))
+    s_mean = np.add.reduceat(s, first) / count
+    t_mean = np.add.reduceat(time_s, first) / count
     ds, dt = s - s_mean[row], time_s - t_mean[row]
-    pace = np.bincount(row, ds * dt, n) / np.maximum(np.bincount(row, ds * ds, n), 1e-6)
+    pace = np.add.reduceat(ds * dt, first) / np.maximum(np.add.reduceat(ds * ds, first), 1e-6)
     return np.asarray(t_mean + pace * (s_ref - s_mean))

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.lanes.density import Crests
+from geoorbit_ros.lanes.grouped import totals
+from geoorbit_ros.lanes.profiles import Profiles
 
 LINK_M = 1.0
 """A crest is found within this of where its slope leads from one station to the next."""
@@ -16,7 +20,7 @@ MIN_SPACING_M = 2.4
 MIN_STATIONS = 4
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True)
 class Ridge:
     """A candidate lane: its offset at consecutive stations, `first` the first of them."""
 
@@ -25,41 +29,55 @@ class Ridge:
     height: NDArray[np.float64]
 
     @property
-    def stations(self) -> NDArray[np.int64]:
-        """Station numbers."""
-        return np.arange(self.first, self.first + len(self.d))
+    def end(self) -> int:
+        """The station after its last."""
+        return self.first + len(self.d)
 
     @property
+    def stations(self) -> NDArray[np.int64]:
+        """Station numbers."""
+        return np.arange(self.first, self.end)
+
+    @cached_property
     def weight(self) -> float:
         """Total density along the ridge."""
         return float(self.height.sum())
 
 
-def trace_ridges(crests: Crests) -> list[Ridge]:
-    """Link crests from station to station."""
-    open_ridges: list[tuple[int, list[float], list[float]]] = []
-    closed: list[Ridge] = []
-    d, height, first = crests.d.tolist(), crests.height.tolist(), crests.first.tolist()
-    for j in range(len(first) - 1):
-        here = range(first[j], first[j + 1])
-        expected = [_next_offset(ridge[1]) for ridge in open_ridges]
-        still: list[tuple[int, list[float], list[float]]] = []
-        taken = set()
-        for i, ridge in enumerate(open_ridges):
-            best = min(here, key=lambda k: abs(d[k] - expected[i]), default=-1)
-            if best >= 0 and abs(d[best] - expected[i]) <= LINK_M:
-                rival = min(range(len(expected)), key=lambda m: abs(d[best] - expected[m]))
-                if rival == i:
-                    ridge[1].append(d[best])
-                    ridge[2].append(height[best])
-                    taken.add(best)
-                    still.append(ridge)
-                    continue
-            closed.append(Ridge(ridge[0], np.array(ridge[1]), np.array(ridge[2])))
-        still.extend((j, [d[k]], [height[k]]) for k in here if k not in taken)
-        open_ridges = still
-    closed.extend(Ridge(r[0], np.array(r[1]), np.array(r[2])) for r in open_ridges)
-    return [r for r in _bridge(closed) if len(r.d) >= MIN_STATIONS]
+def trace_ridges(crests: Crests, profiles: Profiles, weight: NDArray[np.float64]) -> list[Ridge]:
+    """Link crests from station to station, in the direction of the traffic under each.
+
+    Args:
+        crests: Crests of the density.
+        profiles: What the density was made of.
+        weight: (S,) how much each sample counted in it.
+    """
+    if len(crests.d) == 0:
+        return []
+    lead = _slopes(crests, profiles, weight) * profiles.step_m[crests.station]
+    after, miss = crests.nearest(crests.station + 1, crests.d + lead)
+    before, _ = crests.nearest(crests.station - 1, crests.d - lead)
+    mine = np.arange(len(after))
+    linked = (miss <= LINK_M) & (before[after] == mine) & (after != mine)
+    follower = np.where(linked, after, -1)
+    is_first = np.ones(len(after), bool)
+    is_first[after[linked]] = False
+    follows = follower.tolist()
+    ridges = []
+    for crest in np.flatnonzero(is_first).tolist():
+        chain = [crest]
+        while (crest := follows[crest]) >= 0:
+            chain.append(crest)
+        ridges.append(Ridge(int(crests.station[chain[0]]), crests.d[chain], crests.height[chain]))
+    return [r for r in _bridge(ridges) if len(r.d) >= MIN_STATIONS]
+
+
+def _slopes(crests: Crests, profiles: Profiles, weight: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(C,) mean dd/ds of the vehicles on each crest; 0, the spine's own, where there are none."""
+    crest, away = crests.nearest(profiles.station, profiles.d)
+    weight = weight * (away <= 0.5 * MIN_SPACING_M)
+    total = totals(crest, weight, len(crests.d))
+    return totals(crest, weight * profiles.slope, len(crests.d)) / np.maximum(total, 1e-9)
 
 
 def separate(ridges: list[Ridge]) -> list[Ridge]:
@@ -69,7 +87,7 @@ def separate(ridges: list[Ridge]) -> list[Ridge]:
         free = np.ones(len(ridge.d), bool)
         for other in kept:
             low = max(ridge.first, other.first)
-            high = min(ridge.first + len(ridge.d), other.first + len(other.d))
+            high = min(ridge.end, other.end)
             if high > low:
                 here = slice(low - ridge.first, high - ridge.first)
                 there = slice(low - other.first, high - other.first)
@@ -84,12 +102,6 @@ def separate(ridges: list[Ridge]) -> list[Ridge]:
     return kept
 
 
-def _next_offset(offsets: list[float]) -> float:
-    """Where a ridge with these offsets goes next, by its slope over the last stations."""
-    recent = offsets[-MIN_STATIONS:]
-    return recent[-1] + (recent[-1] - recent[0]) / max(len(recent) - 1, 1)
-
-
 def _bridge(ridges: list[Ridge]) -> list[Ridge]:
     """Join ridges that continue each other across a stretch where the crest was lost."""
     parts = sorted(ridges, key=lambda r: (r.first, r.d[0]))
@@ -97,7 +109,7 @@ def _bridge(ridges: list[Ridge]) -> list[Ridge]:
     while parts:
         ridge = parts.pop(0)
         while True:
-            end = ridge.first + len(ridge.d)
+            end = ridge.end
             best = None
             for k, other in enumerate(parts):
                 gap = other.first - end
@@ -116,3 +128,13 @@ def _bridge(ridges: list[Ridge]) -> list[Ridge]:
             )
         done.append(ridge)
     return done
+
+
+def table(
+    ridges: Sequence[Ridge], values: Sequence[NDArray[np.float64]], stations: int, empty: float
+) -> NDArray[np.float64]:
+    """(R, J) the ridges' values at the sheet's stations, `empty` where a ridge is not."""
+    result = np.full((len(ridges), stations), empty)
+    for k, (ridge, value) in enumerate(zip(ridges, values, strict=True)):
+        result[k, ridge.first : ridge.first + len(value)] = value
+    return result

@@ -18,7 +18,7 @@ from geoorbit_ros.lanes.passes import wrap_rad
 STEP_M = 2.0
 COARSE = 2
 """Every which sample of a curve is tried when a point's place along it is searched."""
-TRACE_NODES = 1000
+TRACE_NODES = 800
 TRACE_ANGLE_RAD = 0.4
 ALIGN_ROUNDS = 2
 RUN_OUT_M = 20.0
@@ -62,8 +62,7 @@ class Spine:
         """
         x, y = np.ascontiguousarray(xy.T)
         s = self._nearest(xy) if near_s is None else near_s
-        for _ in range(2):
-            s = np.minimum(np.maximum(s + self._offset(s, x, y)[0], 0.0), self.s[-1])
+        s = np.minimum(np.maximum(s + self._offset(s, x, y)[0], 0.0), self.s[-1])
         along, left = self._offset(s, x, y)
         return s + along, left
 

@@ -52,6 +52,8 @@ class TrackRows:
 
     def followed_by(self, other: TrackRows) -> TrackRows:
         """These rows and then the other ones."""
+        if len(self) == 0:
+            return other
         pairs = zip(self.columns(), other.columns(), strict=True)
         return TrackRows(*(np.concatenate(pair) for pair in pairs))
 

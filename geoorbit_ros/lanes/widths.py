@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.lanes.centerlines import Centerline
+from geoorbit_ros.lanes.grouped import quantile
 
 TYPICAL_WIDTH_M = (3.25, 3.65)
 TYPICAL_SPEED_MPS = (14.0, 22.0)
@@ -43,23 +44,20 @@ class Spacing:
     sigma_m: float
 
 
-def neighbour_spacings(
-    lines: Sequence[Centerline], step_m: float, numbers: Sequence[int]
-) -> list[Spacing]:
-    """Spacings of lanes that run beside each other in one corridor.
+def neighbour_spacings(lines: Sequence[Centerline], step_m: NDArray[np.float64]) -> list[Spacing]:
+    """Spacings of lanes that run beside each other; lanes go by their place in `lines`.
 
     Args:
-        lines: Centrelines of the corridor.
-        step_m: Distance between stations.
-        numbers: The lanes' numbers, in the same order.
+        lines: Centrelines.
+        step_m: (J,) distance between stations.
     """
     found = []
     for a, line in enumerate(lines):
         for b in range(a + 1, len(lines)):
-            spacing = _spacing(line, lines[b], step_m)
+            spacing = _spacing(line, lines[b], float(step_m[line.station[0]]))
             if spacing is not None:
                 value, sigma = spacing
-                found.append(Spacing((numbers[a], numbers[b]), value, sigma))
+                found.append(Spacing((a, b), value, sigma))
     return found
 
 
@@ -75,10 +73,12 @@ def _spacing(a: Centerline, b: Centerline, step_m: float) -> tuple[float, float]
     gap = np.abs(a.d[ia] - b.d[ib])
     sigma = np.hypot(a.sigma_m[ia], b.sigma_m[ib])
     use = (gap >= SPACING_RANGE_M[0]) & (gap <= SPACING_RANGE_M[1])
-    use &= np.abs(np.gradient(gap, step_m)) <= PARALLEL
+    slope = np.abs(np.diff(gap)) / step_m
+    use[1:] &= slope <= PARALLEL
+    use[:-1] &= slope <= PARALLEL
     if use.sum() < MIN_COMMON_STATIONS:
         return None
-    return float(np.average(gap[use], weights=sigma[use] ** -2)), float(np.median(sigma[use]))
+    return float(sigma[use] ** -2 @ gap[use] / (sigma[use] ** -2).sum()), quantile(sigma[use], 0.5)
 
 
 def lane_widths(

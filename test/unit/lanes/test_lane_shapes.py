@@ -91,6 +91,6 @@ def test_a_shoulder_between_lanes_does_not_widen_them() -> None:
 def test_only_lanes_side_by_side_are_neighbours() -> None:
     lines = [line(np.full(20, d), np.ones(20)) for d in (0.0, 3.5, 7.0)]
     apart = line(np.full(20, 3.5), np.ones(20), first=100)
-    found = neighbour_spacings([*lines, apart], 5.0, [10, 11, 12, 13])
-    assert [s.lanes for s in found] == [(10, 11), (11, 12)]
+    found = neighbour_spacings([*lines, apart], np.full(120, 5.0))
+    assert [s.lanes for s in found] == [(0, 1), (1, 2)]
     assert [s.value_m for s in found] == pytest.approx([3.5, 3.5])

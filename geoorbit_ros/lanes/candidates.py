@@ -1,0 +1,94 @@
+"""Candidate lanes: from where vehicles drive to the lines they follow, and what speaks for each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.lanes.centerlines import LARGE_WEIGHT, Centerline, fit_centerlines
+from geoorbit_ros.lanes.confidence import LaneEvidence
+from geoorbit_ros.lanes.density import Density, Raster, find_crests
+from geoorbit_ros.lanes.junctions import hand_over, is_alone, lane_directions
+from geoorbit_ros.lanes.lane_ends import straighten_ends
+from geoorbit_ros.lanes.members import find_members, keeping_lane
+from geoorbit_ros.lanes.parameters import LaneParameters
+from geoorbit_ros.lanes.profiles import STATIONS_PER_SCALE, Profiles
+from geoorbit_ros.lanes.ridges import Ridge, separate, trace_ridges
+
+BLUR_PER_SMOOTHING_M = 0.045
+PROMINENCE_PER_ANGLE = 0.5
+MIN_HEIGHT = 0.3
+FEW_BETWEEN_LANES = 0.05
+MIN_LENGTH = 0.4
+"""Shortest lane worth showing, in road scales: half a second of travel."""
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A lane before it has a width and a name.
+
+    Attributes:
+        corridor: Number of its corridor.
+        line: Its centreline.
+        vehicles: Distinct vehicles in it.
+        evidence: What speaks for it.
+    """
+
+    corridor: int
+    line: Centerline
+    vehicles: float
+    evidence: LaneEvidence
+
+
+def find_candidates(
+    profiles: Profiles, large: NDArray[np.bool_], parameters: LaneParameters
+) -> tuple[list[Candidate], Density]:
+    """The candidate lanes, by corridor and from left to right, and the density they crest in.
+
+    Args:
+        profiles: Where vehicles drive.
+        large: (V,) which of them are buses or trucks.
+        parameters: Theta.
+    """
+    raster = Raster(profiles, BLUR_PER_SMOOTHING_M * parameters.smoothing)
+    prominence = PROMINENCE_PER_ANGLE * parameters.angle
+    trust = np.where(large, LARGE_WEIGHT, 1.0)[profiles.row]
+    density, ridges, directions = _crests(profiles, raster, trust, prominence)
+    # Once more, without the vehicles that are between lanes: they blur what they cross.
+    keeping = keeping_lane(profiles, ridges, directions)
+    trust *= keeping
+    if keeping.mean() < 1.0 - FEW_BETWEEN_LANES:
+        density, ridges, directions = _crests(profiles, raster, trust, prominence)
+    if not ridges:
+        return [], density
+    members = find_members(profiles, ridges, directions, [is_alone(r, ridges) for r in ridges])
+    lines = fit_centerlines(profiles, ridges, members, trust)
+    found = []
+    for k, line in enumerate(lines):
+        length = 0.0 if line is None else (len(line.d) - 1) / STATIONS_PER_SCALE
+        if line is None or length < MIN_LENGTH:
+            continue
+        evidence = LaneEvidence(
+            float(members.evidence[k]),
+            float(members.lane_share[k]),
+            length,
+            float(members.presence[k]),
+        )
+        corridor = int(profiles.corridor[line.station[0]])
+        found.append(Candidate(corridor, line, float(members.vehicles[k]), evidence))
+    straight = straighten_ends([c.line for c in found])
+    found = [replace(c, line=line) for c, line in zip(found, straight, strict=True)]
+    return sorted(found, key=lambda c: (c.corridor, -float(np.mean(c.line.d)))), density
+
+
+def _crests(
+    profiles: Profiles, raster: Raster, trust: NDArray[np.float64], prominence: float
+) -> tuple[Density, list[Ridge], list[NDArray[np.float64]]]:
+    """Density, the crests in it that can be lanes, and the direction of driving along each."""
+    weight = profiles.weight[profiles.row] * trust
+    density = raster.density(weight)
+    traced = trace_ridges(find_crests(density, MIN_HEIGHT, prominence), profiles, weight)
+    ridges = separate(hand_over(traced, len(profiles.station_m)))
+    return density, ridges, lane_directions(ridges, profiles.step_m)
