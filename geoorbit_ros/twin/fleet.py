@@ -14,6 +14,7 @@ VEHICLE_DTYPE = np.dtype(
         ("xy", "<f8", 2),
         ("velocity", "<f8", 2),
         ("heading", "<f8"),
+        ("course", "<f8"),
         ("sigma", "<f8"),
         ("length", "<f8"),
         ("width", "<f8"),
@@ -34,7 +35,8 @@ VEHICLE_DTYPE = np.dtype(
         ("active", "?"),
     ]
 )
-"""State of a vehicle: middle of its footprint in the map frame; `kind` numbers `TYPES`;
+"""State of a vehicle: middle of its footprint in the map frame; `heading` as tracked and
+`course` as driven (`synchronizer.plausible_course`); `kind` numbers `TYPES`;
 `observed`: a track has it in this step, and `predicted`: but only as a prediction; `cameras`: how
 many see it; `within`: between the borders of its lane; `entered`: whether it is in the simulation,
 and `sim_…` what it is there."""
@@ -73,7 +75,7 @@ class Fleet:
         fresh = np.zeros(count, VEHICLE_DTYPE)
         fresh["vehicle_id"] = np.arange(self._next_id, self._next_id + count)
         fresh["active"], fresh["lane"], fresh["kind"] = True, NONE, NONE
-        fresh["heading"] = np.nan
+        fresh["heading"] = fresh["course"] = np.nan
         self._next_id += count
         self.table[slot] = fresh
         return slot

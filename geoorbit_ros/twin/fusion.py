@@ -157,7 +157,7 @@ class Fusion:
         along, across = self._apart(pairs, pair_slot)
         sigma = np.hypot(pairs["sigma"], vehicles["sigma"])
         unseen_s = (time_ns - vehicles["seen_ns"]) * 1e-9
-        turn = (pairs["heading"] - vehicles["heading"] + np.pi) % (2 * np.pi) - np.pi
+        turn = (pairs["heading"] - vehicles["course"] + np.pi) % (2 * np.pi) - np.pi
         speed = np.hypot(*(pairs["velocity"] - vehicles["velocity"]).T)
         reach = GATE_ALONG_M + 2.0 * sigma + DRIFT_MPS * unseen_s
         cost = (along / reach) ** 2 + (across / GATE_ACROSS_M) ** 2
@@ -187,7 +187,7 @@ class Fusion:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """How far rows are from vehicles, along and across the vehicle's heading."""
         table = self._fleet.table
-        heading = np.nan_to_num(table["heading"][slot])
+        heading = np.nan_to_num(table["course"][slot])
         dx, dy = (rows["xy"] - table["xy"][slot]).T
         cos, sin = np.cos(heading), np.sin(heading)
         return dx * cos + dy * sin, dy * cos - dx * sin
@@ -206,6 +206,8 @@ class Fusion:
             table[name][place] = mean[name]
         known = ~np.isnan(mean["heading"])
         table["heading"][place[known]] = mean["heading"][known]
+        fresh = np.isnan(table["course"][place])
+        table["course"][place[fresh]] = mean["heading"][fresh]
         length, width = usual_size(table["kind"][place], mean["length"], mean["width"])
         table["length"][place], table["width"][place] = length, width
         table["seen_ns"][place], table["observed"][place] = time_ns, True
@@ -222,8 +224,8 @@ class Fusion:
             gap = table["xy"][seen][:, None] - table["xy"][seen][None]
             pairs = np.argwhere(np.triu(np.hypot(gap[..., 0], gap[..., 1]) < MERGE_ALONG_M, 1))
             for a, b in seen[pairs].tolist():
-                turn = table["heading"][a] - table["heading"][b]
-                cos, sin = np.cos(table["heading"][a]), np.sin(table["heading"][a])
+                turn = table["course"][a] - table["course"][b]
+                cos, sin = np.cos(table["course"][a]), np.sin(table["course"][a])
                 dx, dy = table["xy"][a] - table["xy"][b]
                 if abs(dy * cos - dx * sin) > MERGE_ACROSS_M or np.cos(turn) < 0.8:
                     continue

@@ -39,7 +39,7 @@ class TwinStep:
         observed: (M,) whether a camera saw it; otherwise it goes on as before.
         cameras: (M,) how many did.
         wanted_xy: (M, 2) where the tracks say it is.
-        wanted_heading_rad: (M,).
+        wanted_heading_rad: (M,) as tracked.
         cost_s: Time that the step took.
     """
 
@@ -106,7 +106,7 @@ class Placement:
         names = _names(table["vehicle_id"][slots])
         self._enter_and_resize(slots, names)
         rows = table[slots]
-        front = rows["xy"] + _bumper(rows["heading"], rows["sim_length"])
+        front = rows["xy"] + _bumper(rows["course"], rows["sim_length"])
         lane = self._front_lanes(rows, front)
         plane, network = self._network.plane, self._network
         turn = plane.to_network.turn_rad(front)
@@ -116,7 +116,7 @@ class Placement:
             [network.edge_id[k] if k != NONE else "" for k in lane.tolist()],
             np.where(lane == NONE, 0, network.index[safe]),
             plane.to_network.points(front),
-            np.degrees(0.5 * np.pi - rows["heading"] - turn) % 360.0,
+            np.degrees(0.5 * np.pi - rows["course"] - turn) % 360.0,
             np.abs(rows["offset"]) + REACH_M,
         )
         self._simulation.move(moves)

@@ -26,6 +26,10 @@ MAX_WAIT_S = 0.2
 """A camera that is more behind the newest one is not waited for: two frames at 10 Hz."""
 MIN_SPEED_MPS = 0.2
 """Slower, a vehicle's velocity has no direction worth following."""
+MAX_ACROSS_MPS = 2.5
+"""A lane change in two seconds reaches 2.5 m/s half-way, three times the usual."""
+LANE_TURN_RAD = np.radians(4.0)
+"""A lane's own direction is known to this, being drawn in straight pieces."""
 MAX_GAP_S = 30.0
 """After a longer silence of all cameras time jumps; before, the vehicles have left."""
 
@@ -131,6 +135,9 @@ class Synchronizer:
         # Until a vehicle has moved, it stands as its lane runs.
         blind = np.isnan(table["heading"][slots])
         table["heading"][slots[blind]] = np.nan_to_num(found.heading_rad[blind])
+        table["course"][slots] = plausible_course(
+            table["heading"][slots], np.hypot(*table["velocity"][slots].T), found.heading_rad
+        )
         step = self.placement.step(now_ns, slots, start)
         self.steps += 1
         self._on_step(step)
@@ -157,3 +164,22 @@ class Synchronizer:
             table["velocity"][k] = speed * np.array(
                 [np.cos(place.heading_rad), np.sin(place.heading_rad)]
             )
+
+
+def plausible_course(
+    heading_rad: NDArray[np.float64],
+    speed_mps: NDArray[np.float64],
+    lane_heading_rad: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Headings (M,) as far as a vehicle can drive them, at its speed, in a lane.
+
+    A track's heading starts with the noise of its first few positions. Turned by it, the front of a
+    vehicle at speed would stick out into the next lane, and SUMO would put it there. Nobody moves
+    across lanes faster than `MAX_ACROSS_MPS`, which bounds the angle to the lane; nothing is
+    bounded beside the network (NaN).
+    """
+    share = MAX_ACROSS_MPS / np.maximum(speed_mps, MAX_ACROSS_MPS)
+    bound = np.where(share < 1.0, np.arcsin(share) + LANE_TURN_RAD, np.pi)
+    turn = (heading_rad - lane_heading_rad + np.pi) % (2 * np.pi) - np.pi
+    bounded = lane_heading_rad + np.clip(turn, -bound, bound)
+    return np.where(np.isnan(turn) | (np.abs(turn) <= bound), heading_rad, bounded)
