@@ -11,6 +11,8 @@ from geoorbit_ros.federated.encodings.factory import decode_vector
 from geoorbit_ros.federated.errors import PayloadError, Refusal
 from geoorbit_ros.federated.keys import Roster, Verifier
 from geoorbit_ros.federated.layout import Vector
+from geoorbit_ros.federated.secure_aggregation.message import SCHEMA as SECURE
+from geoorbit_ros.federated.secure_aggregation.message import SecureMessage
 from geoorbit_ros.federated.server_config import ServerConfig
 from geoorbit_ros.federated.server_state import ServerState
 
@@ -70,6 +72,28 @@ class Admission:
             raise PayloadError(Refusal.NOT_SELECTED, SCHEMA, found, "one of this round")
         verifier.check(payload, SCHEMA)
         return update, self._checked_vector(update)
+
+    def admit_masked(
+        self, payload: bytes, state: ServerState, selected: frozenset[int]
+    ) -> SecureMessage:
+        """Read a client's step of a masked sum of the open round; its data are not looked at.
+
+        Raises:
+            PayloadError: With any reason.
+        """
+        message = SecureMessage.decode(payload)
+        verifier = self._verifiers.get(message.sender)
+        if verifier is None:
+            found = f"client {message.sender}"
+            raise PayloadError(Refusal.UNKNOWN_SENDER, SECURE, found, "one on the roster")
+        if state.finished or message.round < state.round:
+            found, expected = f"round {message.round}", f"round {state.round}"
+            raise PayloadError(Refusal.OLD_ROUND, SECURE, found, expected)
+        if selected and message.sender not in selected:
+            found = f"client {message.sender}"
+            raise PayloadError(Refusal.NOT_SELECTED, SECURE, found, "one of this round")
+        verifier.check(payload, SECURE)
+        return message
 
     def _check_round(self, update: ClientUpdate, state: ServerState) -> None:
         if state.finished or update.round < state.round - self._oldest:

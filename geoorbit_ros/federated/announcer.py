@@ -84,6 +84,10 @@ class Announcer:
         """The whole model of the open round, exact: for whoever has no or another one."""
         return self._whole(state, clients, flags, Float32(), state.published)
 
+    def seal(self, unsigned: bytes) -> bytes:
+        """Any other payload of the server, with its signature."""
+        return self._signer.seal(unsigned)
+
     def _whole(
         self,
         state: ServerState,

@@ -16,13 +16,17 @@ from geoorbit_ros.federated.encodings.encoding import Encoding
 from geoorbit_ros.federated.encodings.error_feedback import ErrorFeedback
 from geoorbit_ros.federated.encodings.factory import decode_vector
 from geoorbit_ros.federated.encodings.floats import Float32
-from geoorbit_ros.federated.envelope import schema_of
+from geoorbit_ros.federated.envelope import UNSIGNED, schema_of
 from geoorbit_ros.federated.errors import PayloadError, Refusal
-from geoorbit_ros.federated.global_model import ASYNCHRONOUS, FINAL, GlobalModel
+from geoorbit_ros.federated.global_model import ASYNCHRONOUS, FINAL, MASKED, GlobalModel
 from geoorbit_ros.federated.keys import Signer, Verifier, client_id
 from geoorbit_ros.federated.layout import Tensors, Vector
+from geoorbit_ros.federated.masked_round import masked_vector
 from geoorbit_ros.federated.model_delta import SCHEMA as DELTA
 from geoorbit_ros.federated.model_delta import ModelDelta
+from geoorbit_ros.federated.secure_aggregation.message import SCHEMA as SECURE
+from geoorbit_ros.federated.secure_aggregation.message import SecureMessage
+from geoorbit_ros.federated.secure_aggregation.participant import Participant
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +131,8 @@ class FederatedClient:
         self._encoding = encoding or Float32()
         self._interface, self._path = interface, state_path
         self._state = read_client_state(state_path) if state_path else None
-        self.finished = self._asynchronous = False
+        self.finished = self._asynchronous = self._masks = False
+        self._participant: Participant | None = None
         self.refused: Counter[Refusal] = Counter()
 
     @property
@@ -169,9 +174,9 @@ class FederatedClient:
         self.finished, self._asynchronous = bool(flags & FINAL), bool(flags & ASYNCHRONOUS)
         if self.finished or (clients and self.id not in clients):
             return None
-        ready = b""
+        self._masks, ready = bool(flags & MASKED), b""
         if state.answered == state.round and state.answered_model == state.digest:
-            ready = state.update
+            ready = self._keys(state) if self._masks else state.update
         order = TrainingOrder(state.round, state.proximal_mu)
         tensors = state.layout.unflatten(state.model)
         return Work(state.round, state.digest, tensors, order, ready)
@@ -192,6 +197,8 @@ class FederatedClient:
         late = state is not None and state.round != work.round and not self._asynchronous
         if state is None or late or state.answered >= work.round or not _usable(result):
             return None
+        if self._masks:
+            return self._hide(state, work, result)
         feedback = ErrorFeedback(self._encoding, state.layout.size)
         feedback.residual = state.residual
         data = feedback.encode(state.layout.flatten(result.delta))
@@ -223,6 +230,47 @@ class FederatedClient:
         if work.ready or self._train is None:
             return work.ready or None
         return self.finish(work, self._train(work.tensors, work.order))
+
+    def assist(self, payload: bytes) -> bytes | None:
+        """Take a step of a masked sum from the server.
+
+        Returns:
+            This client's next step; None when it has no part in that sum.
+
+        Raises:
+            PayloadError: It was refused.
+        """
+        try:
+            message = SecureMessage.decode(payload)
+            if self._participant is None:
+                return None  # not selected, or started again: then it counts as dropped out
+            if message.sender:
+                found = f"sender {message.sender}"
+                raise PayloadError(Refusal.UNKNOWN_SENDER, SECURE, found, "the server, 0")
+            self._verifier.check(payload, SECURE)
+            return self._signer.seal(self._participant.answer(message).unsigned())
+        except PayloadError as error:
+            self.refused[error.reason] += 1
+            raise
+
+    def _hide(self, state: ClientState, work: Work, result: LocalResult) -> bytes:
+        """Keep the update, unsent, and begin to take part in a masked sum with it."""
+        data = Float32().encode(state.layout.flatten(result.delta))
+        count, loss = result.sample_count, result.loss
+        update = ClientUpdate(0, work.round, work.model, self.id, count, loss, data)
+        state.update = update.unsigned() + UNSIGNED
+        state.answered, state.answered_model = work.round, work.model
+        if self._path:
+            write_client_state(self._path, state)
+        return self._keys(state)
+
+    def _keys(self, state: ClientState) -> bytes:
+        """First step of a masked sum, with fresh secrets."""
+        update = ClientUpdate.decode(state.update)
+        delta = Float32().decode(update.data, state.layout.size)
+        values = masked_vector(delta, update.loss)
+        self._participant = Participant(self.id, update.round, update.model, values)
+        return self._signer.seal(self._participant.keys().unsigned())
 
     def _take_whole(self, payload: bytes) -> tuple[tuple[int, ...], int]:
         model = GlobalModel.decode(payload)

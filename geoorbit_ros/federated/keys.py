@@ -139,6 +139,15 @@ class Member:
         return client_id(self.camera_id, self.public)
 
 
+def public_key(text: str) -> bytes | None:
+    """A public key as parameters give it: 64 hex digits, or empty for none.
+
+    Raises:
+        FederationError: Neither.
+    """
+    return _from_hex(text.strip(), "public key") if text.strip() else None
+
+
 class Roster:
     """The allow list: cameras that may take part, by their number.
 

@@ -12,11 +12,14 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.federated.admission import Admission
 from geoorbit_ros.federated.announcer import Announcer
-from geoorbit_ros.federated.client_update import ClientUpdate
-from geoorbit_ros.federated.errors import PayloadError, Refusal
-from geoorbit_ros.federated.global_model import ASYNCHRONOUS, FINAL
+from geoorbit_ros.federated.errors import FederationError, PayloadError, Refusal
+from geoorbit_ros.federated.global_model import ASYNCHRONOUS, FINAL, MASKED
 from geoorbit_ros.federated.keys import Roster, Signer
-from geoorbit_ros.federated.layout import ModelLayout, Tensors, Vector
+from geoorbit_ros.federated.layout import ModelLayout, Tensors
+from geoorbit_ros.federated.masked_round import STAGE_S, MaskedRound
+from geoorbit_ros.federated.open_round import OpenRound
+from geoorbit_ros.federated.privacy import clipped, normal_noise
+from geoorbit_ros.federated.secure_aggregation.coordinator import MIN_CLIENTS
 from geoorbit_ros.federated.selection import make_selection
 from geoorbit_ros.federated.server_config import ServerConfig
 from geoorbit_ros.federated.server_state import (
@@ -25,11 +28,10 @@ from geoorbit_ros.federated.server_state import (
     read_checkpoint,
     write_checkpoint,
 )
-from geoorbit_ros.federated.strategies.collection import Collection
+from geoorbit_ros.federated.strategies.collection import Aggregate
 from geoorbit_ros.federated.strategies.fedavg import FedAvg
+from geoorbit_ros.federated.strategies.robust import RobustStrategy
 from geoorbit_ros.federated.strategies.strategy import Strategy
-
-_LOSS_BITS = 40
 
 
 class FederatedServer:
@@ -63,7 +65,8 @@ class FederatedServer:
         refused: Updates refused since the start, by reason.
 
     Raises:
-        FederationError: A checkpoint that is none, or of another model.
+        FederationError: A checkpoint that is none or of another model, or settings that exclude
+            each other.
     """
 
     def __init__(
@@ -99,8 +102,10 @@ class FederatedServer:
         self.refused: Counter[Refusal] = Counter()
         self._selected: frozenset[int] = frozenset()
         self._wanted = len(self._members)
-        self._deadline_s = math.inf
-        self._open(0.0)
+        self._opened_s = self._deadline_s = 0.0
+        self._round = OpenRound(self._strategy.collection(self.layout.size))
+        self._masked: MaskedRound | None = None
+        self._check_settings()
 
     @property
     def tensors(self) -> Tensors:
@@ -139,8 +144,8 @@ class FederatedServer:
 
     @property
     def collected(self) -> int:
-        """Updates of the open round so far."""
-        return self._collection.number
+        """Updates of the open round so far; under masks, clients heard at its open step."""
+        return self._masked.number if self._masked else self._round.number
 
     @property
     def latched(self) -> tuple[bytes, ...]:
@@ -156,59 +161,68 @@ class FederatedServer:
         Returns:
             The payload for all clients.
         """
-        self._open(now_s)
         if not self.resumed:
             self._announcer.advance(self._state)
             self._save()
-            return self._announcer.announce(self._state, self._choose(), self._flags)
-        return self._announcer.repeat(self._state, self._choose(), self._flags)
+        announce = self._announcer.repeat if self.resumed else self._announcer.announce
+        return announce(self._state, self._open(now_s), self._flags)
 
     def receive(self, payload: bytes, now_s: float) -> bytes | None:
-        """Take an update.
+        """Take an update, or with secure aggregation a step of one.
 
         Returns:
-            The next payload for all clients, when this update ends the round.
+            The next payload for all clients, when this one ends the round or the step.
 
         Raises:
             PayloadError: It was refused; the server goes on as if it had never come.
         """
         try:
+            if self._masked is not None:
+                return self._receive_masked(self._masked, payload, now_s)
             update, vector = self._admission.admit(payload, self._state, self._selected)
-            if self._pending.get(update.client, 0) >= update.round:
+            if self._round.clients.get(update.client, 0) >= update.round:
                 found = f"client {update.client} for round {update.round} again"
                 raise PayloadError(Refusal.DUPLICATE, "update", found, "one update per round")
         except PayloadError as error:
             self.refused[error.reason] += 1
             raise
-        self._add(update, vector)
-        return self._close(now_s) if self.collected >= self._wanted else None
+        if self.config.noise_multiplier:
+            weight, vector = 1.0, clipped(vector, self.config.clip_norm)
+        else:
+            weight = self._strategy.weight(update.sample_count, self.round - update.round)
+        self._round.add(update, vector, weight)
+        self.accepted += 1
+        if self.collected < self._wanted:
+            return None
+        return self._close(self._round.result(), self._round.clients, now_s)
 
     def tick(self, now_s: float) -> bytes | None:
         """Look at the time.
 
         Returns:
-            The next payload for all clients, when a deadline has passed: that of the next round if
-            there is a quorum, else this round's again, now open to all.
+            The next payload for all clients, when a deadline has passed: that of the next round or
+            step if there is a quorum, else this round's again, now open to all.
         """
         waits_for_time = not (self.finished or self._asynchronous)
         if not waits_for_time or now_s < self._deadline_s:
             return None
+        if self._masked is not None:
+            return self._advance_masked(self._masked, now_s)
         if self.collected >= self._quorum():
-            return self._close(now_s)
-        self._selected = frozenset()
-        self._deadline_s = now_s + self.config.deadline_s
-        return self._announcer.repeat(self._state, (), self._flags)
+            return self._close(self._round.result(), self._round.clients, now_s)
+        return self._again(now_s)
 
-    def _open(self, now_s: float) -> None:
-        """Begin to collect for the open round."""
-        self._collection: Collection = self._strategy.collection(self.layout.size)
-        self._pending: dict[int, int] = {}
-        self._loss_sum = self._loss_weight = 0
-        self._opened_s = now_s
-        self._deadline_s = now_s + self.config.deadline_s
+    def _check_settings(self) -> None:
+        hides = self.config.secure_aggregation or self.config.noise_multiplier
+        if hides and (isinstance(self._strategy, RobustStrategy) or self._asynchronous):
+            found = f"{type(self._strategy).__name__} with noise or masks"
+            raise FederationError("server settings", found, "a strategy that takes a mean")
+        if self.config.secure_aggregation and len(self._members) < MIN_CLIENTS:
+            found = f"{len(self._members)} cameras"
+            raise FederationError("secure aggregation", found, f"{MIN_CLIENTS} or more")
 
-    def _choose(self) -> tuple[int, ...]:
-        """Select the clients of the open round; empty: all."""
+    def _open(self, now_s: float) -> tuple[int, ...]:
+        """Begin to collect for the open round; its clients, none for all."""
         number = self.config.clients_per_round
         chosen: tuple[int, ...] = ()
         if 0 < number < len(self._members) and not (self._asynchronous or self.finished):
@@ -217,39 +231,80 @@ class FederatedServer:
         self._selected = frozenset(chosen)
         # Stays when the round is opened to all: then anybody may stand in for the silent ones.
         self._wanted = self._strategy.buffer_size or len(chosen) or len(self._members)
+        self._round = OpenRound(self._strategy.collection(self.layout.size))
+        self._opened_s = now_s
+        self._wait(now_s, chosen)
         return chosen
+
+    def _wait(self, now_s: float, clients: tuple[int, ...]) -> None:
+        """Set the deadline; under masks also begin an attempt, waiting for these clients' keys."""
+        self._deadline_s = now_s + self.config.deadline_s
+        if not self.config.secure_aggregation or self.finished:
+            self._masked = None
+            return
+        self._masked = MaskedRound(
+            clients or self._members,
+            self._quorum(),
+            self.round,
+            self._state.digests[self.round],
+            self.layout.size,
+            self.config.masked_range,
+        )
+
+    def _again(self, now_s: float) -> bytes:
+        """Announce the open round once more, to all."""
+        self._selected = frozenset()
+        self._wait(now_s, ())
+        return self._announcer.repeat(self._state, (), self._flags)
 
     def _quorum(self) -> int:
         return max(1, math.ceil(self.config.quorum * self._wanted))
 
-    def _add(self, update: ClientUpdate, vector: Vector) -> None:
-        weight = self._strategy.weight(update.sample_count, self.round - update.round)
-        self._collection.add(update.client, vector, weight)
-        self._pending[update.client] = update.round
-        self._state.utility[update.client] = abs(update.loss) * math.sqrt(update.sample_count)
-        # Whole numbers, so that the mean does not depend on the order either.
-        self._loss_sum += round(update.loss * 2**_LOSS_BITS) * update.sample_count
-        self._loss_weight += update.sample_count
+    def _receive_masked(self, masked: MaskedRound, payload: bytes, now_s: float) -> bytes | None:
+        message = self._admission.admit_masked(payload, self._state, self._selected)
+        masked.coordinator.take(message)
         self.accepted += 1
+        return self._advance_masked(masked, now_s) if masked.coordinator.complete else None
 
-    def _close(self, now_s: float) -> bytes:
+    def _advance_masked(self, masked: MaskedRound, now_s: float) -> bytes:
+        """End a step: the next one, the next round, or this round again where it failed."""
+        if not masked.enough:
+            return self._again(now_s)
+        message = masked.advance()
+        if message is not None:
+            self._deadline_s = now_s + min(self.config.deadline_s, STAGE_S)
+            return self._announcer.seal(message.unsigned())
+        try:
+            result = masked.result()
+        except FederationError:  # a client lied about its shares: without this attempt, then
+            return self._again(now_s)
+        survivors = dict.fromkeys(masked.coordinator.survivors, self.round)
+        return self._close(result, survivors, now_s)
+
+    def _close(
+        self, result: tuple[Aggregate, float], answered: dict[int, int], now_s: float
+    ) -> bytes:
         """Make the next model, keep it, announce it."""
-        state = self._state
-        loss = self._loss_sum / self._loss_weight / 2**_LOSS_BITS
-        change = self._strategy.step(self._collection.result())
+        state, config = self._state, self.config
+        aggregate, loss = result
+        if config.noise_multiplier:
+            noise = normal_noise(state.secret, state.round, self.layout.size)
+            spread = config.noise_multiplier * config.clip_norm / len(answered)
+            aggregate = aggregate + spread * noise
+        change = self._strategy.step(aggregate)
         state.model = (state.model + change).astype(np.float32)
         state.optimiser = self._strategy.state()
-        state.answered |= self._pending
+        state.answered |= answered
+        state.utility |= self._round.utility
         seconds = now_s - self._opened_s
-        state.history.append(RoundRecord(self.round, self.collected, loss, seconds))
+        state.history.append(RoundRecord(state.round, len(answered), loss, seconds))
         state.round += 1
-        state.finished = state.round > self.config.rounds or loss <= self.config.target_loss
+        state.finished = state.round > config.rounds or loss <= config.target_loss
         self._announcer.advance(state)
-        for number in [n for n in state.digests if n < state.round - self.config.max_staleness - 1]:
-            del state.digests[number]
+        oldest = state.round - config.max_staleness - 1
+        state.digests = {n: digest for n, digest in state.digests.items() if n >= oldest}
         self._save()
-        self._open(now_s)
-        return self._announcer.announce(state, self._choose(), self._flags)
+        return self._announcer.announce(state, self._open(now_s), self._flags)
 
     def _save(self) -> None:
         if self._checkpoint is not None:
@@ -257,4 +312,6 @@ class FederatedServer:
 
     @property
     def _flags(self) -> int:
-        return (FINAL if self.finished else 0) | (ASYNCHRONOUS if self._asynchronous else 0)
+        final = FINAL if self.finished else 0
+        masked = MASKED if self.config.secure_aggregation else 0
+        return final | masked | (ASYNCHRONOUS if self._asynchronous else 0)

@@ -37,6 +37,10 @@ class ServerConfig:
         interface: `global_model.interface_digest` of the model's inputs and outputs; 0: not
             checked.
         seed: Of the selection.
+        clip_norm: With noise, longer updates are cut to this length, and all count the same.
+        noise_multiplier: Noise on the sum of updates, in `clip_norm`; 0: none. See `privacy`.
+        secure_aggregation: Take updates under masks only; then all count the same.
+        masked_range: Under masks, larger changes of a weight are cut to this.
 
     Raises:
         FederationError: A setting out of range.
@@ -59,6 +63,10 @@ class ServerConfig:
     max_sample_count: int = 100_000
     interface: int = 0
     seed: int = 0
+    clip_norm: float = 1.0
+    noise_multiplier: float = 0.0
+    secure_aggregation: bool = False
+    masked_range: float = 8.0
 
     def __post_init__(self) -> None:
         for name, low, high in (
@@ -72,6 +80,9 @@ class ServerConfig:
             ("max_abs_update", 1e-6, 1e6),
             ("max_sample_count", 1, 1 << 20),
             ("interface", 0, 2**32 - 1),
+            ("clip_norm", 1e-9, 1e9),
+            ("noise_multiplier", 0.0, 1e6),
+            ("masked_range", 1e-6, 1e6),
         ):
             value = getattr(self, name)
             if not low <= value <= high:
@@ -79,6 +90,12 @@ class ServerConfig:
         if self.selection not in SELECTIONS:
             found = repr(self.selection)
             raise FederationError("server setting 'selection'", found, " or ".join(SELECTIONS))
+        if self.noise_multiplier and self.secure_aggregation:
+            found = "noise and secure aggregation together"
+            raise FederationError("server settings", found, "one: nobody can cut what is masked")
+        if self.noise_multiplier and self.selection == "importance":
+            found = "noise and selection by importance"
+            raise FederationError("server settings", found, "one: the selection tells of losses")
         self.model_encoding()
 
     def model_encoding(self) -> Encoding:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +16,13 @@ from geoorbit_ros.conversions import datum_from_fix
 from geoorbit_ros.core.errors import MessageError
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.core.tables import TRACK_DTYPE
+from geoorbit_ros.federated.keys import Verifier, public_key
+from geoorbit_ros.federated.theta_inbox import ThetaInbox
 from geoorbit_ros.lanes.factory import make_estimator
 from geoorbit_ros.lanes.mapper import LaneMapper
 from geoorbit_ros.lanes.parameters import LaneParameters
 from geoorbit_ros.nodes.base import GeoOrbitNode
+from geoorbit_ros.nodes.byte_topic import subscribe_payloads
 from geoorbit_ros.nodes.lane_publisher import LanePublisher
 from geoorbit_ros.nodes.latched import LATCHED
 from geoorbit_ros.nodes.process import run_node
@@ -40,6 +43,8 @@ class LaneGeometryParameters:
     reliability: str
     queue_depth: int
     restart_jump_s: float
+    federation: str
+    lane_parameters_key: str
 
     @property
     def theta(self) -> LaneParameters:
@@ -48,7 +53,7 @@ class LaneGeometryParameters:
 
 
 class LaneGeometryNode(GeoOrbitNode[LaneGeometryParameters]):
-    """Subscribes `tracks` and `datum`; publishes the lane map on `lanes…`, all latched.
+    """Subscribes `tracks`, `datum`, `lane_parameters`; publishes the lane map on `lanes…`, latched.
 
     The map is renewed every `update_period_s` by the stamps of the tracks, and when the service
     `~/update` is called.
@@ -61,18 +66,22 @@ class LaneGeometryNode(GeoOrbitNode[LaneGeometryParameters]):
         """Start with an empty map."""
         self.datum: Datum | None = None
         self._latest: LaneMap | None = None
-        self.frames = self.lane_maps = 0
+        self.frames = self.lane_maps = self.predictions = 0
+        self.theta = self.p.theta
+        verifier = Verifier(public_key(self.p.lane_parameters_key), self.p.federation)
+        self._inbox = ThetaInbox(self.camera_id, verifier)
         self._restart()
         self._lanes = LanePublisher(
             self, self.p.frame_id, self.p.estimator, tentative=self.p.publish_tentative
         )
         TableStream(self, "tracks", TRACK_DTYPE, self.p, self._on_frame, self._restart)
         self.create_subscription(NavSatFix, "datum", self._on_datum, LATCHED)
+        subscribe_payloads(self, "lane_parameters", LATCHED, self._on_theta)
         self.create_service(Trigger, "~/update", self._on_update)
 
     def on_parameters(self, changed: LaneGeometryParameters) -> None:
-        """New detection parameters hold from the next update on."""
-        self._mapper.parameters = changed.theta
+        """New detection parameters hold from the next update on, until others come."""
+        self.theta = self._mapper.parameters = changed.theta
 
     def diagnostic_values(self) -> Mapping[str, object]:
         """Size and age of the map."""
@@ -83,18 +92,24 @@ class LaneGeometryNode(GeoOrbitNode[LaneGeometryParameters]):
             "lanes_confirmed": confirmed,
             "lanes_tentative": len(lanes) - confirmed,
             "map_stamp_s": self._latest.stamp_ns / 1e9 if self._latest else "",
+            "predictions": self.predictions,
+            **{f"theta_{name}": value for name, value in asdict(self.theta).items()},
             "datum": "known" if self.datum else "not received yet",
         }
 
     def _restart(self) -> None:
         estimator = make_estimator(self.p.estimator)
-        self._mapper = LaneMapper(estimator, self.p.theta, self.p.update_period_s)
+        self._mapper = LaneMapper(estimator, self.theta, self.p.update_period_s)
 
     def _on_frame(self, stamp_ns: int, rows: NDArray[np.void]) -> None:
         self.frames += 1
         lane_map = self._mapper.add(stamp_ns, rows)
         if lane_map is not None:
             self._publish(lane_map)
+
+    def _on_theta(self, payload: bytes) -> None:
+        self.theta = self._mapper.parameters = self._inbox.take(payload, self.theta)
+        self.predictions += 1
 
     def _on_datum(self, fix: NavSatFix) -> None:
         try:

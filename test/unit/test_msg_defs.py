@@ -8,8 +8,8 @@ import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 FOLDER = Path(__file__).parents[2] / "msg_defs"
-PAYLOADS = ("LaneParameters", "GlobalModel", "ModelDelta", "ClientUpdate")
-SCHEMAS = dict(zip(PAYLOADS, ("theta", "model", "delta", "update"), strict=True))
+PAYLOADS = ("LaneParameters", "GlobalModel", "ModelDelta", "ClientUpdate", "SecureAggregation")
+SCHEMAS = dict(zip(PAYLOADS, ("theta", "model", "delta", "update", "secure"), strict=True))
 
 TEXTS = ["smoothing", "angle", ""]
 SAMPLES: dict[str, Any] = {

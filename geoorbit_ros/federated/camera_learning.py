@@ -1,0 +1,56 @@
+"""What a camera learns from an observation: the work of one round, fit for a process of its own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.federated.client import LocalResult, TrainingOrder
+from geoorbit_ros.federated.layout import Tensors
+from geoorbit_ros.learning.camera_task import CameraTask
+from geoorbit_ros.learning.meta_learner import MetaLearner
+from geoorbit_ros.learning.objective import Objective
+from geoorbit_ros.learning.parameter_search import search_theta
+
+
+@dataclass(frozen=True, slots=True)
+class Lesson:
+    """What comes back.
+
+    Attributes:
+        result: For the client.
+        best_theta: (P,) theta* of the observation, in the unit cube: found once, used every round.
+    """
+
+    result: LocalResult
+    best_theta: NDArray[np.float64]
+
+
+def learn_from_camera(
+    task: CameraTask,
+    estimator: str,
+    tensors: Tensors,
+    order: TrainingOrder,
+    best_theta: NDArray[np.float64] | None = None,
+) -> Lesson:
+    """Detect lanes with the model's theta, search for a better one, step towards it.
+
+    Args:
+        task: The observation and its reference lanes; at least one.
+        estimator: A name of `lanes.factory`.
+        tensors: The global model.
+        order: Round and FedProx's penalty.
+        best_theta: theta* of the same observation where it is known; None: search for it, which
+            runs the estimator over a hundred times.
+    """
+    from geoorbit_ros.learning.local_training import Examples, train_locally  # imports torch
+
+    objective = Objective(task, estimator, task.supervision)
+    predicted = MetaLearner.from_tensors(tensors).predict_unit(task.features)
+    if best_theta is None:
+        best_theta = search_theta(objective).theta
+    examples = Examples(task.features[None], best_theta[None])
+    delta, count, _ = train_locally(tensors, examples, proximal=order.proximal_mu)
+    return Lesson(LocalResult(delta, count, objective.total(predicted)), best_theta)

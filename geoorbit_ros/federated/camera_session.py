@@ -1,0 +1,163 @@
+"""A camera in a federation: observes, predicts theta, trains when asked to. Free of ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from concurrent.futures import Executor, Future
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.core.errors import GeoOrbitError
+from geoorbit_ros.core.lanes import Lane
+from geoorbit_ros.core.tables import Frames
+from geoorbit_ros.federated.camera_learning import Lesson, learn_from_camera
+from geoorbit_ros.federated.client import FederatedClient, Work
+from geoorbit_ros.federated.global_model import interface_digest
+from geoorbit_ros.federated.keys import Signer
+from geoorbit_ros.federated.theta import ThetaPayload
+from geoorbit_ros.learning.camera_task import CameraTask
+from geoorbit_ros.learning.features import FEATURE_NAMES, scene_features
+from geoorbit_ros.learning.meta_learner import MetaLearner
+from geoorbit_ros.learning.parameter_space import PARAMETER_NAMES
+
+INTERFACE = interface_digest(FEATURE_NAMES, PARAMETER_NAMES)
+"""What both sides must agree on: the meta-learner's inputs and outputs."""
+
+
+class CameraSession:
+    """Ties a client to its camera's tracks and reference lanes.
+
+    Every `observation_s` of tracks make an observation; the newest counts. A round is worked on in
+    `executor`, one at a time; a newer round replaces one that waits.
+
+    Args:
+        client: The federated client.
+        signer: Signs theta.
+        estimator: A name of `lanes.factory`.
+        observation_s: Length of an observation, by the stamps of the tracks.
+        executor: Where training runs; a process, for it takes a core for seconds.
+
+    Attributes:
+        reference: Reference lanes by number, from the map.
+        observations: How many were completed.
+        trained: Rounds that were trained for.
+    """
+
+    def __init__(
+        self,
+        client: FederatedClient,
+        signer: Signer,
+        estimator: str,
+        observation_s: float,
+        executor: Executor,
+    ) -> None:
+        self.client, self._signer = client, signer
+        self._estimator, self._executor = estimator, executor
+        self._length_ns = round(observation_s * 1e9)
+        self.reference: dict[int, Lane] = {}
+        self.observations = self.trained = 0
+        self.restart()
+        self._tracks: Frames | None = None
+        self._features: NDArray[np.float64] | None = None
+        self._best: tuple[object, NDArray[np.float64]] | None = None
+        self._work: Work | None = None
+        self._running: tuple[Work, object, Future[Lesson]] | None = None
+        self._predicted: object = None
+
+    def restart(self) -> None:
+        """Forget the observation that has begun: its source starts again."""
+        self._stamps: list[int] = []
+        self._rows: list[NDArray[np.void]] = []
+
+    def add(self, stamp_ns: int, rows: NDArray[np.void]) -> None:
+        """Take one frame of tracks."""
+        self._stamps.append(stamp_ns)
+        self._rows.append(rows.copy())
+        if stamp_ns - self._stamps[0] < self._length_ns:
+            return
+        offset = np.cumsum([0, *(len(rows) for rows in self._rows)])
+        tracks = Frames(np.array(self._stamps), offset, np.concatenate(self._rows))
+        self._tracks, self._features = tracks, scene_features(tracks)
+        self.observations += 1
+        self.restart()
+
+    def receive(self, payload: bytes) -> None:
+        """Take what the server announced.
+
+        Raises:
+            PayloadError: It was refused.
+        """
+        work = self.client.receive(payload)
+        self._work = work
+
+    @property
+    def waits_for(self) -> str:
+        """What is missing before this camera can train; empty: nothing."""
+        if self.client.tensors is None:
+            return "a model"
+        if self._tracks is None:
+            return "tracks"
+        return "" if self.reference else "reference lanes"
+
+    def poll(self) -> bytes | None:
+        """Go on with what is due; an update to send, or None.
+
+        Raises:
+            GeoOrbitError: Training failed.
+        """
+        if self._running is not None:
+            return self._finish(*self._running)
+        work = self._work
+        if work is not None and work.ready:
+            self._work = None
+            return work.ready
+        if work is None or self._tracks is None or self._features is None or not self.reference:
+            return None
+        self._work = None
+        lanes = tuple(self.reference[number] for number in sorted(self.reference))
+        task = CameraTask(
+            self.client.camera_id, self._tracks, self._features, lanes, lanes, surveyed=False
+        )
+        key = (id(self._tracks), tuple(map(id, lanes)))
+        known = self._best[1] if self._best and self._best[0] == key else None
+        future = self._executor.submit(
+            learn_from_camera, task, self._estimator, work.tensors, work.order, known
+        )
+        self._running = (work, (key, task), future)
+        return None
+
+    def theta(self) -> bytes | None:
+        """The payload with theta for the newest model and observation; None when it is known."""
+        tensors, features = self.client.tensors, self._features
+        if tensors is None or features is None:
+            return None
+        run, number, model = self.client.model_of
+        state = (model, id(features))
+        if self._predicted == state:
+            return None
+        self._predicted = state
+        values: Mapping[str, float] = _values(MetaLearner.from_tensors(tensors), features)
+        theta = ThetaPayload(self.client.camera_id, run, number, model, values)
+        return self._signer.seal(theta.unsigned())
+
+    def _finish(self, work: Work, made_of: object, future: Future[Lesson]) -> bytes | None:
+        if not future.done():
+            return None
+        self._running = None
+        try:
+            lesson = future.result()
+        except GeoOrbitError:
+            raise
+        except Exception as error:  # whatever ends a worker must not end the node
+            place = f"training of round {work.round}"
+            raise GeoOrbitError(place, repr(error), "an update") from error
+        assert isinstance(made_of, tuple)
+        self._best = (made_of[0], lesson.best_theta)
+        self.trained += 1
+        return self.client.finish(work, lesson.result)
+
+
+def _values(learner: MetaLearner, features: NDArray[np.float64]) -> Mapping[str, float]:
+    parameters = learner.predict(features)
+    return {name: float(getattr(parameters, name)) for name in learner.parameter_names}

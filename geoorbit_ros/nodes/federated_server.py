@@ -1,0 +1,147 @@
+"""Node `federated_server`: all cameras train one meta-learner, and none shows its data."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+
+from rclpy.clock import Clock, ClockType
+from std_msgs.msg import String
+
+from geoorbit_ros.federated.camera_session import INTERFACE
+from geoorbit_ros.federated.keys import Roster, Signer, read_private_key
+from geoorbit_ros.federated.server import FederatedServer
+from geoorbit_ros.federated.server_config import ServerConfig
+from geoorbit_ros.federated.strategies.factory import StrategySettings, make_strategy
+from geoorbit_ros.learning.meta_learner import MetaLearner
+from geoorbit_ros.nodes.base import GeoOrbitNode
+from geoorbit_ros.nodes.byte_topic import (
+    PayloadPublisher,
+    model_qos,
+    subscribe_payloads,
+    updates_qos,
+)
+from geoorbit_ros.nodes.latched import LATCHED
+from geoorbit_ros.nodes.process import run_node
+
+PERIOD_S = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class FederatedServerParameters:
+    """See params/federated_server.yaml."""
+
+    federation: str
+    roster: str
+    key_file: str
+    checkpoint: str
+    strategy: str
+    server_learning_rate: float
+    momentum: float
+    proximal_mu: float
+    byzantine_share: float
+    buffer_size: int
+    rounds: int
+    target_loss: float
+    clients_per_round: int
+    selection: str
+    quorum: float
+    deadline_s: float
+    max_staleness: int
+    encoding: str
+    top_k_share: float
+    top_k_bits: int
+    keyframe_interval: int
+    max_abs_update: float
+    max_sample_count: int
+    clip_norm: float
+    noise_multiplier: float
+    secure_aggregation: bool
+    seed: int
+
+    def config(self, run: int) -> ServerConfig:
+        """The part that the state machine takes."""
+        shared = {f.name for f in fields(ServerConfig)} & {f.name for f in fields(self)}
+        values = {name: getattr(self, name) for name in shared}
+        return ServerConfig(run=run, interface=INTERFACE, **values)
+
+    def settings(self) -> StrategySettings:
+        """The part that strategies take."""
+        return StrategySettings(**{f.name: getattr(self, f.name) for f in fields(StrategySettings)})
+
+
+class FederatedServerNode(GeoOrbitNode[FederatedServerParameters]):
+    """Subscribes `/federated/client_update`; publishes `/federated/global_model`, latched.
+
+    Deadlines are those of hosts and networks, and so go by a steady clock, whatever the traffic's
+    time is. `/federated/status` is latched, too: one JSON object.
+    """
+
+    name = "federated_server"
+    struct = FederatedServerParameters
+
+    def setup(self) -> None:
+        """Take up the checkpoint if there is one, and announce the open round."""
+        private = read_private_key(self.p.key_file) if self.p.key_file else None
+        self.server = FederatedServer(
+            self.p.config(run=int(time.time())),
+            MetaLearner.untrained(self.p.seed).tensors(),
+            Roster.read(self.p.roster),
+            make_strategy(self.p.strategy, self.p.settings()),
+            Signer(private, self.p.federation),
+            Path(self.p.checkpoint) if self.p.checkpoint else None,
+        )
+        depth = self.p.keyframe_interval
+        self._models = PayloadPublisher(self, "/federated/global_model", model_qos(depth))
+        self._status = self.create_publisher(String, "/federated/status", LATCHED)
+        subscribe_payloads(self, "/federated/client_update", updates_qos(), self._on_update)
+        self.create_timer(PERIOD_S, self._on_time, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._send(self.server.start(time.monotonic()))
+        resumed = "resumed at" if self.server.resumed else "starts with"
+        self.get_logger().info(f"{resumed} round {self.server.round} of {self.p.rounds}")
+
+    def diagnostic_values(self) -> Mapping[str, object]:
+        """Where training is."""
+        return self._facts()
+
+    def _facts(self) -> dict[str, object]:
+        server = self.server
+        last = server.history[-1] if server.history else None
+        return {
+            "run": server.run,
+            "round": server.round,
+            "rounds": self.p.rounds,
+            "finished": server.finished,
+            "selected": len(server.selected),
+            "collected": server.collected,
+            "accepted": server.accepted,
+            **{f"refused_{r.replace(' ', '_')}": n for r, n in server.refused.items()},
+            "loss": round(last.loss, 6) if last else "",
+            "sent_bytes": self._models.sent_bytes,
+        }
+
+    def _on_update(self, payload: bytes) -> None:
+        self._send(self.server.receive(payload, time.monotonic()))
+
+    def _on_time(self) -> None:
+        self._send(self.server.tick(time.monotonic()))
+
+    def _send(self, payload: bytes | None) -> None:
+        if payload is None:
+            return
+        self._models.publish(payload)
+        history = [asdict(record) for record in self.server.history[-1:]]
+        self._status.publish(String(data=json.dumps(self._facts() | {"last_round": history})))
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node in this process."""
+    return run_node(FederatedServerNode, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

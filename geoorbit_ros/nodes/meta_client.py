@@ -1,0 +1,138 @@
+"""Node `meta_client`: predicts the camera's detection parameters, and learns them with others."""
+
+from __future__ import annotations
+
+import multiprocessing
+import sys
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from rclpy.clock import Clock, ClockType
+
+from geoorbit_ros.core.errors import GeoOrbitError
+from geoorbit_ros.core.lanes import Lane
+from geoorbit_ros.core.tables import TRACK_DTYPE
+from geoorbit_ros.federated.camera_session import INTERFACE, CameraSession
+from geoorbit_ros.federated.client import FederatedClient
+from geoorbit_ros.federated.encodings.factory import make_encoding
+from geoorbit_ros.federated.keys import Signer, public_key, read_private_key
+from geoorbit_ros.nodes.base import GeoOrbitNode
+from geoorbit_ros.nodes.byte_topic import (
+    PayloadPublisher,
+    model_qos,
+    subscribe_payloads,
+    updates_qos,
+)
+from geoorbit_ros.nodes.latched import LATCHED
+from geoorbit_ros.nodes.process import run_node
+from geoorbit_ros.nodes.reference_listener import ReferenceListener
+from geoorbit_ros.nodes.table_stream import TableStream
+
+PERIOD_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class MetaClientParameters:
+    """See params/meta_client.yaml."""
+
+    federation: str
+    camera_id: str
+    key_file: str
+    server_key: str
+    state_file: str
+    estimator: str
+    observation_s: float
+    encoding: str
+    top_k_share: float
+    top_k_bits: int
+    model_history: int
+    reliability: str
+    queue_depth: int
+    restart_jump_s: float
+
+
+class MetaClientNode(GeoOrbitNode[MetaClientParameters]):
+    """Subscribes `tracks`, `reference/…` and `/federated/global_model`.
+
+    Publishes `lane_parameters`, latched, for every new model and observation, and
+    `/federated/client_update` for every round that it is selected for. Training runs in a process
+    of its own, so that nothing here waits for it.
+    """
+
+    name = "meta_client"
+    struct = MetaClientParameters
+
+    def setup(self) -> None:
+        """Take up the state file if there is one, and wait for a model."""
+        p = self.p
+        signer = Signer(read_private_key(p.key_file) if p.key_file else None, p.federation)
+        self.client = FederatedClient(
+            p.camera_id or self.camera_id,
+            federation=p.federation,
+            encoding=make_encoding(p.encoding, p.top_k_share, p.top_k_bits),
+            signer=signer,
+            server_key=public_key(p.server_key),
+            interface=INTERFACE,
+            state_path=Path(p.state_file) if p.state_file else None,
+        )
+        # Spawned: a fork would copy the middleware's threads in whatever state they are.
+        context = multiprocessing.get_context("spawn")
+        self._workers = ProcessPoolExecutor(1, mp_context=context)
+        self.session = CameraSession(
+            self.client, signer, p.estimator, p.observation_s, self._workers
+        )
+        self._theta = PayloadPublisher(self, "lane_parameters", LATCHED)
+        self._updates = PayloadPublisher(self, "/federated/client_update", updates_qos())
+        TableStream(self, "tracks", TRACK_DTYPE, p, self.session.add, self.session.restart)
+        ReferenceListener(self, self._on_reference)
+        models = model_qos(p.model_history)
+        subscribe_payloads(self, "/federated/global_model", models, self.session.receive)
+        self.create_timer(PERIOD_S, self._on_time, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def diagnostic_values(self) -> Mapping[str, object]:
+        """What it has and what it waits for."""
+        run, number, _ = self.client.model_of
+        return {
+            "run": run,
+            "round": number,
+            "answered": self.client.answered,
+            "finished": self.client.finished,
+            "observations": self.session.observations,
+            "reference_lanes": len(self.session.reference),
+            "trained": self.session.trained,
+            "waits_for": self.session.waits_for,
+            "sent_bytes": self._updates.sent_bytes,
+            **{f"refused_{r.replace(' ', '_')}": n for r, n in self.client.refused.items()},
+        }
+
+    def close(self) -> None:
+        """Leave training where it is: the round is announced again to whoever comes back."""
+        for process in list((self._workers._processes or {}).values()):
+            process.kill()
+        self._workers.shutdown(wait=False, cancel_futures=True)
+
+    def _on_reference(self, lanes: dict[int, Lane]) -> None:
+        self.session.reference = lanes
+
+    def _on_time(self) -> None:
+        try:
+            update = self.session.poll()
+        except GeoOrbitError as error:
+            self.diagnostics.refuse(error)
+            return
+        if update is not None and self._updates.subscribers:
+            self._updates.publish(update)
+        theta = self.session.theta()
+        if theta is not None:
+            self._theta.publish(theta)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node in this process."""
+    return run_node(MetaClientNode, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
