@@ -25,6 +25,7 @@ def generate_launch_description() -> LaunchDescription:
     source = LaunchConfiguration("source")
     bag = LaunchConfiguration("bag")
     rate = LaunchConfiguration("rate")
+    model = LaunchConfiguration("model")
     calibration = LaunchConfiguration("calibration")
     database = LaunchConfiguration("database")
     params_file = LaunchConfiguration("params_file")
@@ -36,6 +37,7 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument("camera_id", description="Namespace of the camera."),
         DeclareLaunchArgument("calibration", description="Control points, a CSV file."),
         DeclareLaunchArgument("source", default_value="", description="Video, address or images."),
+        DeclareLaunchArgument("model", default_value="", description="YOLO model, an ONNX file."),
         DeclareLaunchArgument("bag", default_value="", description="Play this; empty: live."),
         DeclareLaunchArgument("rate", default_value="1.0", description="Speed of the bag."),
         DeclareLaunchArgument("database", default_value="", description="Record into this file."),
@@ -52,6 +54,20 @@ def generate_launch_description() -> LaunchDescription:
             executable="camera",
             namespace=camera_id,
             parameters=[params_file, {"source": source}],
+            condition=IfCondition(from_source),
+        ),
+        Node(
+            package=PACKAGE,
+            executable="detector",
+            namespace=camera_id,
+            parameters=[params_file, {"model": model}],
+            condition=IfCondition(from_source),
+        ),
+        Node(
+            package=PACKAGE,
+            executable="tracker",
+            namespace=camera_id,
+            parameters=[params_file],
             condition=IfCondition(from_source),
         ),
         Node(

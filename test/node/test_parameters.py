@@ -13,12 +13,23 @@ from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.nodes.bag_player import BagPlayerNode
 from geoorbit_ros.nodes.camera import CameraNode
 from geoorbit_ros.nodes.composition import Composition
+from geoorbit_ros.nodes.detector import DetectorNode
 from geoorbit_ros.nodes.homography import HomographyNode
 from geoorbit_ros.nodes.lane_geometry import LaneGeometryNode, LaneGeometryParameters
 from geoorbit_ros.nodes.recorder import RecorderNode
+from geoorbit_ros.nodes.tracker import TrackerNode
 from geoorbit_ros.parameters import NodeParameters, load_schema
 
 PARAMS = Path(__file__).parents[2] / "params"
+NODES = (
+    BagPlayerNode,
+    CameraNode,
+    DetectorNode,
+    HomographyNode,
+    LaneGeometryNode,
+    RecorderNode,
+    TrackerNode,
+)
 KINDS = {"bool": "bool", "int": "int", "double": "float", "string": "str"}
 
 
@@ -29,17 +40,13 @@ def declare(nodes: Composition, **overrides: object) -> NodeParameters[LaneGeome
     return NodeParameters(node, LaneGeometryParameters, "lane_geometry")
 
 
-@pytest.mark.parametrize(
-    "node_class", [BagPlayerNode, CameraNode, HomographyNode, LaneGeometryNode, RecorderNode]
-)
+@pytest.mark.parametrize("node_class", NODES)
 def test_struct_and_schema_name_the_same_parameters_with_the_same_types(node_class: Any) -> None:
     schema = {spec.name: KINDS[spec.kind] for spec in load_schema(node_class.name)}
     assert {f.name: f.type for f in fields(node_class.struct)} == schema
 
 
-@pytest.mark.parametrize(
-    "node_class", [BagPlayerNode, CameraNode, HomographyNode, LaneGeometryNode, RecorderNode]
-)
+@pytest.mark.parametrize("node_class", NODES)
 def test_defaults_satisfy_their_own_schema_unless_they_must_be_given(node_class: Any) -> None:
     for spec in load_schema(node_class.name):
         if not spec.not_empty or spec.default:

@@ -18,14 +18,25 @@ from std_srvs.srv import Trigger
 from geoorbit_ros.nodes.bag_player import BagPlayerNode
 from geoorbit_ros.nodes.camera import CameraNode
 from geoorbit_ros.nodes.composition import Composition
+from geoorbit_ros.nodes.detector import DetectorNode
 from geoorbit_ros.nodes.homography import HomographyNode
 from geoorbit_ros.nodes.lane_geometry import LaneGeometryNode
 from geoorbit_ros.nodes.recorder import RecorderNode
+from geoorbit_ros.nodes.tracker import TrackerNode
 from geoorbit_ros.parameters import load_schema
 
 ROOT = Path(__file__).parents[2]
 NODES = {
-    n.name: n for n in (BagPlayerNode, CameraNode, HomographyNode, LaneGeometryNode, RecorderNode)
+    n.name: n
+    for n in (
+        BagPlayerNode,
+        CameraNode,
+        DetectorNode,
+        HomographyNode,
+        LaneGeometryNode,
+        RecorderNode,
+        TrackerNode,
+    )
 }
 RVIZ_TYPES = {
     "rviz_default_plugins/Path": "nav_msgs/msg/Path",
