@@ -44,7 +44,7 @@ def track(
     ] = 1.5,
     min_score: Annotated[
         float, typer.Option("--min-score", help="Confidence of a detection that begins a track.")
-    ] = 0.45,
+    ] = 0.42,
 ) -> None:
     """Give the boxes of a detector ids that last, offline, without a ROS graph.
 

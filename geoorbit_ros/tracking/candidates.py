@@ -12,12 +12,10 @@ from geoorbit_ros.tracking.motion import MEAN, VARIANCE
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-GATE = 20.0
+GATE = 30.0
 """Squared distance in 1-sigma errors over the four measurements beyond which no pair is considered
-(chi-square with four degrees of freedom: 99.95 %)."""
-TENTATIVE_COST = 4.0
-"""An unconfirmed track must fit this much better than a confirmed one to win a detection."""
-CLASS_COST = 1.5
+(chi-square with four degrees of freedom: one in 200,000, as box errors have heavy tails)."""
+CLASS_COST = 2.0
 """Cost of another class: detectors call a van a truck now and then, but a person seldom a car."""
 
 
@@ -42,7 +40,6 @@ class Pairs:
 
 def candidate_pairs(
     predicted: Array,
-    confirmed: NDArray[np.bool_],
     track_class: NDArray[np.int64],
     measured: Array,
     variance: Array,
@@ -56,7 +53,6 @@ def candidate_pairs(
 
     Args:
         predicted: (5, 4, N) states at the time of the detections, see `motion`.
-        confirmed: (N,) whether the track is.
         track_class: (N,) its class.
         measured: (4, M) measurements.
         variance: (4, M) their variances.
@@ -74,6 +70,5 @@ def candidate_pairs(
     inside = np.flatnonzero(distance < GATE)
     track, detection, total = track[inside], detection[inside], total[:, inside]
     cost = distance[inside] + np.log((total / variance[:, detection]).prod(axis=0))
-    cost += TENTATIVE_COST * ~confirmed[track]
     cost += CLASS_COST * (track_class[track] != detection_class[detection])
     return Pairs(track, detection, cost)

@@ -44,12 +44,12 @@ class MotionNoise:
         growth_rate: 1-sigma of its relative growth, 1/s.
     """
 
-    position: float = 0.05
-    size: float = 0.06
-    acceleration: float = 2.0
-    growth: float = 0.5
-    speed: float = 10.0
-    growth_rate: float = 1.0
+    position: float = 0.055
+    size: float = 0.15
+    acceleration: float = 0.5
+    growth: float = 0.3
+    speed: float = 4.0
+    growth_rate: float = 0.65
 
 
 def measurements(box: Array) -> Array:

@@ -41,9 +41,9 @@ class TrackerParameters:
         ParameterError: A value out of its bounds.
     """
 
-    high_score: float = 0.45
+    high_score: float = 0.42
     low_score: float = 0.1
-    birth_score: float = 0.45
+    birth_score: float = 0.42
     confirm_hits: int = 2
     max_gap_s: float = 1.5
     predict_s: float = 0.5

@@ -29,11 +29,9 @@ from geoorbit_ros.tracking.track_table import TrackTable
 
 Array = NDArray[np.float64]
 
-PAIR_LIMIT = 40.0
-"""Cost at which a confident detection rather is a new vehicle."""
-WEAK_PAIR_LIMIT = 36.0
-"""Cost at which a weak detection rather is nothing."""
-WEAK_GAP_S = 0.5
+PAIR_LIMIT = 32.0
+"""Cost at which a detection rather is another vehicle."""
+WEAK_GAP_S = 0.8
 """Weak detections continue tracks that were observed this recently."""
 RECOVERY_IOU = 0.5
 """Overlap with the last observed box that a vehicle found standing must have."""
@@ -166,7 +164,6 @@ class Tracker:
             return partner
         pairs = candidate_pairs(
             predicted,
-            tracks.track_id > 0,
             tracks.class_id,
             found.measured,
             found.variance,
@@ -177,7 +174,7 @@ class Tracker:
         _settle(partner, pairs.where(of_strong), PAIR_LIMIT)
         open_weak = ~of_strong & (partner[pairs.track] < 0) & (elapsed_s[pairs.track] < WEAK_GAP_S)
         if open_weak.any():
-            _settle(partner, pairs.where(open_weak), WEAK_PAIR_LIMIT)
+            _settle(partner, pairs.where(open_weak), PAIR_LIMIT)
         self._recover(partner, strong, found)
         return partner
 
