@@ -14,7 +14,7 @@ from typing import Annotated
 import typer
 
 from geoorbit_ros import __version__
-from geoorbit_ros.cli import bag, database, scene, twin
+from geoorbit_ros.cli import bag, camera, database, scene, twin
 from geoorbit_ros.cli.demo import demo
 from geoorbit_ros.cli.detect import detect
 from geoorbit_ros.cli.export import export
@@ -83,6 +83,7 @@ for _name, _command in (
 ):
     app.command(_name)(_command)
 app.add_typer(scene.app, name="scene")
+app.add_typer(camera.app, name="camera")
 app.add_typer(bag.app, name="bag")
 app.add_typer(database.app, name="db")
 app.add_typer(twin.app, name="twin")

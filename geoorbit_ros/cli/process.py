@@ -85,10 +85,12 @@ def process(
     mapper = WatchedMapper(make_estimator(estimator.value), update_period_s=update_period_s)
     run, recording = CameraRun(homography, detector, mapper), Recording()
     name = camera_id or _name(source)
-    with _opened(source, fps, duration) as images, atomic_output(out) as folder:
+    with opened_source(source, fps, duration) as images, atomic_output(out) as folder:
         folder.mkdir()
         ground = run.ground_tracks(
-            _shown(images, duration), folder / VIDEO if video else None, images.fps or DEFAULT_FPS
+            shown_images(images, duration),
+            folder / VIDEO if video else None,
+            images.fps or DEFAULT_FPS,
         )
         lane_map = map_lanes(recording.tee(ground), mapper, images.name)
         write_mot(folder / DETECTIONS, ((k, d) for k, (_, d, _) in enumerate(run.seen, 1)))
@@ -110,7 +112,12 @@ def _name(source: str) -> str:
     return Path(source.partition("?")[0].rpartition(":")[2]).stem or "camera"
 
 
-def _opened(source: str, fps: float | None, duration_s: float | None) -> FrameSource:
+def opened_source(source: str, fps: float | None, duration_s: float | None) -> FrameSource:
+    """A source as a user names it, scenes included.
+
+    Raises:
+        GeoOrbitError: It can't be opened, or is a stream and nobody said for how long.
+    """
     from geoorbit_ros.cli.console import error_console, status
     from geoorbit_ros.scenes.frame_source import SCENES
     from geoorbit_ros.storage.frames.open_source import open_frame_source
@@ -124,7 +131,7 @@ def _opened(source: str, fps: float | None, duration_s: float | None) -> FrameSo
     return images
 
 
-def _shown(images: FrameSource, duration_s: float | None) -> Iterator[StampedImage]:
+def shown_images(images: FrameSource, duration_s: float | None) -> Iterator[StampedImage]:
     """The images of the first `duration_s` under a progress bar."""
     from geoorbit_ros.cli.console import track
 

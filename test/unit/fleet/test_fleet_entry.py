@@ -1,0 +1,67 @@
+"""A camera is added to a fleet file; everything else in the file stays as it was."""
+
+from pathlib import Path
+
+import pytest
+
+from geoorbit_ros.core.errors import InputFileError
+from geoorbit_ros.fleet.fleet_entry import add_camera, relative
+
+ENTRY = {"id": "north", "source": "scene:lane_drop", "image_size": [640, 360]}
+
+FILES = {
+    "comments": "name: a\ncameras:\n  # one\n  - id: one\n    source: scene:s_curve # it\n"
+    "  # after it\n\nrecorder: {}  # keep\n",
+    "cameras last": "name: a\nrecorder: {}\ncameras:\n  - {id: one, source: 'scene:s_curve'}",
+    "no indent": "name: a\ncameras:\n- id: one\n  source: scene:s_curve\nrecorder: {}\n",
+    "nested": "name: a\ncameras:\n  - id: one\n    source: scene:s_curve\n    parameters:\n"
+    "      lane_geometry: {update_period_s: 2}\n\n\nviewer: {port: 1234}\n",
+}
+
+
+@pytest.mark.parametrize("text", FILES.values(), ids=FILES)
+def test_the_new_camera_comes_last_and_every_line_stays(tmp_path: Path, text: str) -> None:
+    file = tmp_path / "fleet.yaml"
+    file.write_text(text)
+    fleet = add_camera(file, ENTRY)
+    assert [camera.id for camera in fleet.cameras] == ["one", "north"]
+    assert fleet.cameras[1].image_size == (640, 360)
+    lines = iter(file.read_text().splitlines())
+    assert all(line in lines for line in text.splitlines()), "in their order"
+
+
+def test_a_missing_file_is_made(tmp_path: Path) -> None:
+    fleet = add_camera(tmp_path / "new.yaml", ENTRY, "motorway")
+    assert (fleet.name, [camera.id for camera in fleet.cameras]) == ("motorway", ["north"])
+
+
+def test_a_camera_that_is_there_already_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "fleet.yaml"
+    add_camera(file, ENTRY)
+    before = file.read_text()
+    with pytest.raises(InputFileError, match="'north' is there already"):
+        add_camera(file, ENTRY)
+    assert file.read_text() == before
+
+
+def test_a_wrong_entry_leaves_the_file_as_it_was(tmp_path: Path) -> None:
+    file = tmp_path / "fleet.yaml"
+    file.write_text(FILES["comments"])
+    with pytest.raises(InputFileError, match="no-name"):
+        add_camera(file, {**ENTRY, "id": "no-name"})
+    assert file.read_text() == FILES["comments"]
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_a_list_in_brackets_is_left_alone(tmp_path: Path) -> None:
+    file = tmp_path / "fleet.yaml"
+    text = "name: a\ncameras: [{id: one, source: 'scene:s_curve'}]\n"
+    file.write_text(text)
+    with pytest.raises(InputFileError, match="brackets"):
+        add_camera(file, ENTRY)
+    assert file.read_text() == text
+
+
+def test_paths_are_named_from_the_files_folder(tmp_path: Path) -> None:
+    video = tmp_path / "videos" / "north.mp4"
+    assert relative(video, tmp_path / "fleets" / "fleet.yaml") == "../videos/north.mp4"
