@@ -9,11 +9,12 @@ after the 4-byte encapsulation header.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from importlib import import_module
 
 import numpy as np
 from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, Point32, PolygonStamped, Quaternion
 from numpy.typing import ArrayLike, NDArray
 from sensor_msgs.msg import NavSatFix, NavSatStatus
@@ -39,6 +40,7 @@ __all__ = [
     "encode_pose_array",
     "encode_string",
     "encode_table",
+    "health_array",
     "lane_markers",
     "lane_poses",
     "message_class",
@@ -235,6 +237,22 @@ def datum_from_fix(fix: NavSatFix, place: str) -> Datum:
         found = f"latitude {fix.latitude}, longitude {fix.longitude}"
         raise MessageError(place, found, "degrees from -90 to 90 and -180 to 180")
     return Datum(fix.latitude, fix.longitude)
+
+
+def health_array(
+    stamp_ns: int, name: str, faults: list[str], values: Mapping[str, float | int]
+) -> DiagnosticArray:
+    """Figures as one status, WARN with the faults as its message."""
+    status = DiagnosticStatus(
+        level=DiagnosticStatus.WARN if faults else DiagnosticStatus.OK,
+        name=name,
+        message="; ".join(faults) or "ok",
+        values=[
+            KeyValue(key=key, value=str(value) if isinstance(value, int) else f"{value:.6g}")
+            for key, value in values.items()
+        ],
+    )
+    return DiagnosticArray(header=Header(stamp=time_from_ns(stamp_ns)), status=[status])
 
 
 def lane_markers(lane_map: LaneMap, frame_id: str) -> MarkerArray:

@@ -19,6 +19,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.twin.errors import SimulationError
 from geoorbit_ros.twin.running_network import write_running_network
 from geoorbit_ros.twin.vehicle_types import write_types
@@ -34,6 +35,20 @@ _ARRIVED = 2
 """Reason of removal: the vehicle reached its destination (traci.constants.REMOVE_ARRIVED)."""
 
 _running_in_process = False
+
+
+def backend_of(name: str, gui: bool) -> Backend:
+    """The backend that parameters name.
+
+    Raises:
+        ParameterError: Another name, or a window for a simulation that can't have one.
+    """
+    if name == "traci":
+        return "traci"
+    if name != "libsumo" or gui:
+        found = f"backend {name} with a window" if gui else f"'{name}'"
+        raise ParameterError("SUMO's backend", found, "traci, or libsumo without a window")
+    return "libsumo"
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,109 @@
+"""A synchroniser whose simulation is started again when it dies."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.twin.errors import SimulationError
+from geoorbit_ros.twin.network import RoadNetwork
+from geoorbit_ros.twin.placement import TwinStep
+from geoorbit_ros.twin.simulation import Simulation
+from geoorbit_ros.twin.synchronizer import Synchronizer
+
+RETRY_S = 5.0
+"""A simulation that does not start is tried again after this long."""
+
+
+class TwinRunner:
+    """Feeds a synchroniser; when the simulation dies, a new one takes its place.
+
+    The vehicles are kept here, not in SUMO: with the next step all of them enter the new
+    simulation where they are by then.
+
+    Args:
+        network: The roads.
+        start: Starts a simulation of them.
+        cameras: Names.
+        step_s: Length of a step.
+        hold_s: How long a vehicle that no camera sees goes on.
+        on_step: Called after every step.
+        clock_s: Monotonic time, for the pause between attempts.
+
+    Attributes:
+        twin: The synchroniser.
+        restarts: How often the simulation was started again.
+
+    Raises:
+        SimulationError: The simulation does not start at all.
+    """
+
+    def __init__(
+        self,
+        network: RoadNetwork,
+        start: Callable[[], Simulation],
+        cameras: Sequence[str],
+        step_s: float,
+        hold_s: float,
+        on_step: Callable[[TwinStep], None],
+        clock_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._start, self._clock_s = start, clock_s
+        self._simulation: Simulation | None = start()
+        self._failed_s = -RETRY_S
+        self.restarts = 0
+        self.twin = Synchronizer(network, self._simulation, cameras, step_s, hold_s, on_step)
+
+    @property
+    def simulation(self) -> Simulation | None:
+        """The one that is running; None while none can be started."""
+        return self._simulation
+
+    def set_datum(self, camera: str, datum: Datum) -> None:
+        """Where a camera's map frame lies."""
+        self.twin.set_datum(camera, datum)
+
+    def restart(self, camera: str) -> None:
+        """A camera's stream begins anew."""
+        self.twin.restart(camera)
+
+    def add(self, camera: str, stamp_ns: int, rows: NDArray[np.void]) -> None:
+        """Take a frame; see `Synchronizer.add`.
+
+        Raises:
+            SimulationError: The simulation died during this frame; a new one has been started, or
+                will be, and catches up with the next frames.
+        """
+        if self._simulation is None:
+            self._revive()
+        try:
+            self.twin.add(camera, stamp_ns, rows)
+        except SimulationError:
+            if self._simulation is not None:
+                self._simulation.close()
+                self._simulation = None
+            self._revive()
+            raise
+
+    def close(self) -> None:
+        """End the simulation."""
+        if self._simulation is not None:
+            self._simulation.close()
+            self._simulation = None
+
+    def _revive(self) -> None:
+        now_s = self._clock_s()
+        if now_s - self._failed_s < RETRY_S:
+            found = "a simulation that did not start again"
+            raise SimulationError("SUMO", found, f"one; next attempt in {RETRY_S:g} s at most")
+        try:
+            self._simulation = self._start()
+        except SimulationError:
+            self._failed_s = now_s
+            raise
+        self.restarts += 1
+        self.twin.replace_simulation(self._simulation)
