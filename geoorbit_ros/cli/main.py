@@ -25,6 +25,7 @@ from geoorbit_ros.cli.report import report
 from geoorbit_ros.cli.score import score
 from geoorbit_ros.cli.status import status
 from geoorbit_ros.cli.track import track
+from geoorbit_ros.cli.train import train
 from geoorbit_ros.cli.up import up
 from geoorbit_ros.cli.view import view
 from geoorbit_ros.core.errors import GeoOrbitError
@@ -76,6 +77,7 @@ for _name, _command in (
     ("track", track),
     ("score", score),
     ("report", report),
+    ("train", train),
     ("export", export),
     ("up", up),
     ("status", status),

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from geoorbit_ros.calibration.box_projector import BoxProjector
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.tables import TRACK_DTYPE, Frames
-from geoorbit_ros.lanes.pipeline import project_frames
+from geoorbit_ros.lanes.pipeline import StampedRows, project_frames
 from geoorbit_ros.learning.camera_task import CameraTask
 from geoorbit_ros.learning.features import scene_features
 from geoorbit_ros.scenes.random_scene import random_scene
@@ -27,6 +29,11 @@ from geoorbit_ros.storage.yaml_file import StrictModel, read_yaml
 Split = Literal["seen", "unseen"]
 
 DAY_S = 86400
+MAX_RATE_HZ = 5.0
+"""Frames per second that are kept: a vehicle's errors hardly change in a fifth of a second, and the
+search runs an estimator some ten thousand times."""
+MIN_GAP_NS = round(0.9e9 / MAX_RATE_HZ)
+"""Jitter must not drop every other frame of a camera that has this very rate."""
 
 
 class Cameras(StrictModel):
@@ -125,12 +132,7 @@ def scene_task(fleet: Fleet, camera_id: str, scene_seed: int) -> CameraTask:
     start_s = int(random.integers(DAY_S))
     run = simulate(scene, fleet.duration_s, fleet.seed)
     projector = BoxProjector(fit_homography(run.control_points), run.image_size)
-    tables = [rows for _, rows in project_frames(run.frames, projector)]
-    tracks = Frames(
-        run.frames.stamp_ns + start_s * 1_000_000_000,
-        np.append(0, np.cumsum([len(rows) for rows in tables])).astype(np.int64),
-        np.frombuffer(b"".join(rows.tobytes() for rows in tables), TRACK_DTYPE),
-    )
+    tracks = thin(project_frames(run.frames, projector), start_s * 1_000_000_000)
     return CameraTask(
         camera_id,
         tracks,
@@ -138,6 +140,20 @@ def scene_task(fleet: Fleet, camera_id: str, scene_seed: int) -> CameraTask:
         _as_mapped(run.truth, fleet.map, random),
         run.truth,
     )
+
+
+def thin(frames: Iterable[StampedRows], later_ns: int = 0) -> Frames:
+    """At most `MAX_RATE_HZ` frames per second; every stamp is moved by `later_ns`."""
+    stamps: list[int] = []
+    tables: list[NDArray[np.void]] = []
+    for stamp_ns, rows in frames:
+        if stamps and stamp_ns + later_ns - stamps[-1] < MIN_GAP_NS:
+            continue
+        stamps.append(stamp_ns + later_ns)
+        tables.append(rows)
+    offset = np.append(0, np.cumsum([len(rows) for rows in tables])).astype(np.int64)
+    rows = np.frombuffer(b"".join(rows.tobytes() for rows in tables), TRACK_DTYPE)
+    return Frames(np.array(stamps, dtype=np.int64), offset, rows)
 
 
 def _as_mapped(

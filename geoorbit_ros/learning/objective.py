@@ -18,7 +18,7 @@ from geoorbit_ros.metrics.composite import LaneLosses, LossWeights, lane_losses
 
 Array = NDArray[np.float64]
 
-DECIMALS = 3
+DECIMALS = 2
 """Theta is rounded to this many decimals of the unit cube before it is run: finer differences
 change nothing, and neighbouring rounds then share their results."""
 

@@ -13,7 +13,7 @@ from geoorbit_ros.learning.parameter_space import DEFAULT_UNIT
 
 Array = NDArray[np.float64]
 
-POPULATION, GENERATIONS = 24, 5
+POPULATION, GENERATIONS = 16, 4
 STAY = 0.3
 """Price of leaving the defaults, in ln(L_total) per squared length in the unit cube."""
 LOSS_FLOOR = 1.0

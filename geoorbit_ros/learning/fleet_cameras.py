@@ -1,0 +1,148 @@
+"""The cameras of a fleet, made once and kept in a folder, and their theta*."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.core.errors import InputFileError
+from geoorbit_ros.learning.camera_task import load_task, save_task
+from geoorbit_ros.learning.fleet import Fleet, Split, scene_task
+from geoorbit_ros.learning.local_training import Examples
+from geoorbit_ros.learning.loss_table import CameraFile, search_job
+from geoorbit_ros.learning.parameter_search import (
+    GENERATIONS,
+    POPULATION,
+    STAY,
+    SearchResult,
+)
+from geoorbit_ros.learning.workers import Progress, quiet, spread, watched
+from geoorbit_ros.storage.atomic import atomic_output
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class FleetCamera:
+    """One camera of a fleet.
+
+    Attributes:
+        camera_id: Its name.
+        split: Whether it takes part in training.
+        path: Its task file.
+        features: (F,) its scene's features.
+        surveyed: Whether its true lanes are known exactly.
+    """
+
+    camera_id: str
+    split: Split
+    path: Path
+    features: Array
+    surveyed: bool
+
+
+def fleet_cameras(
+    fleet: Fleet, folder: Path, workers: int = 1, progress: Progress = quiet
+) -> list[FleetCamera]:
+    """All cameras of a fleet; those that are not in `folder` yet are simulated and put there.
+
+    A cached camera is used again only for the same settings of the fleet.
+
+    Raises:
+        InputFileError: A file in the folder that is no camera.
+    """
+    named = {
+        camera_id: (seed, split, folder / f"{camera_id}-{_digest(fleet, seed)}.npz")
+        for camera_id, (seed, split) in fleet.scenes.items()
+    }
+    missing = [(c, seed, path) for c, (seed, _, path) in named.items() if not path.exists()]
+    made = spread(partial(_make, fleet), missing, workers)
+    for _ in watched(made, len(missing), "simulating cameras", progress):
+        pass
+    cameras = []
+    for camera_id, (_, split, path) in named.items():
+        task = load_task(path)
+        cameras.append(FleetCamera(camera_id, split, path, task.features, task.surveyed))
+    return cameras
+
+
+def best_parameters(
+    cameras: list[FleetCamera],
+    estimator: str,
+    folder: Path,
+    workers: int = 1,
+    seed: int = 0,
+    progress: Progress = quiet,
+) -> dict[str, SearchResult]:
+    """Theta* of each camera against its supervision, kept in `folder`."""
+    settings = {"population": POPULATION, "generations": GENERATIONS, "stay": STAY, "seed": seed}
+    path = folder / f"best-{estimator}.json"
+    known = _read_results(path, settings)
+    missing = [camera for camera in cameras if camera.path.name not in known]
+    jobs = [(CameraFile(camera.path, estimator, "supervision"), seed) for camera in missing]
+    found = spread(search_job, jobs, workers)
+    what = f"searching the best parameters ({estimator})"
+    for camera, result in zip(missing, watched(found, len(jobs), what, progress), strict=True):
+        known[camera.path.name] = result
+        _write_results(path, settings, known)
+    return {camera.camera_id: known[camera.path.name] for camera in cameras}
+
+
+def examples_of(cameras: list[FleetCamera], best: dict[str, SearchResult]) -> dict[str, Examples]:
+    """What each camera has to learn from."""
+    return {
+        camera.camera_id: Examples(camera.features[None, :], best[camera.camera_id].theta[None, :])
+        for camera in cameras
+    }
+
+
+def _make(fleet: Fleet, job: tuple[str, int, Path]) -> None:
+    camera_id, seed, path = job
+    save_task(scene_task(fleet, camera_id, seed), path)
+
+
+def _digest(fleet: Fleet, scene_seed: int) -> str:
+    """Everything that a camera's data depend on, as a few letters."""
+    content = fleet.model_dump(include={"duration_s", "seed", "tilt_deg", "map"}) | {
+        "scene": scene_seed
+    }
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:8]
+
+
+def _read_results(path: Path, settings: dict[str, float]) -> dict[str, SearchResult]:
+    if not path.exists():
+        return {}
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if content["settings"] != settings:
+            return {}
+        return {
+            name: SearchResult(
+                np.array(row["theta"]), row["total"], row["default_total"], row["runs"]
+            )
+            for name, row in content["cameras"].items()
+        }
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputFileError(str(path), error, "parameters written by geoorbit train") from error
+
+
+def _write_results(
+    path: Path, settings: dict[str, float], results: dict[str, SearchResult]
+) -> None:
+    rows = {
+        name: {
+            "theta": result.theta.tolist(),
+            "total": result.total,
+            "default_total": result.default_total,
+            "runs": result.runs,
+        }
+        for name, result in results.items()
+    }
+    with atomic_output(path) as temporary:
+        temporary.write_text(json.dumps({"settings": settings, "cameras": rows}), encoding="utf-8")

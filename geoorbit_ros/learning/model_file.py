@@ -1,0 +1,74 @@
+"""A trained meta-learner and its history as files."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import astuple, fields
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+
+from geoorbit_ros.core.errors import InputFileError, TableError
+from geoorbit_ros.learning.meta_learner import MetaLearner
+from geoorbit_ros.learning.training import Round
+from geoorbit_ros.storage.atomic import atomic_output
+
+_FEATURES, _PARAMETERS = "feature_names", "parameter_names"
+
+
+def save_model(learner: MetaLearner, path: Path) -> None:
+    """Write phi with the names of its inputs and outputs to one .npz file."""
+    with atomic_output(path) as temporary, temporary.open("wb") as file:
+        np.savez(
+            file,
+            **{
+                _FEATURES: np.array(learner.feature_names),
+                _PARAMETERS: np.array(learner.parameter_names),
+                **learner.weights,
+            },  # type: ignore[arg-type]
+        )
+
+
+def load_model(path: Path) -> MetaLearner:
+    """Read what `save_model` wrote.
+
+    Raises:
+        InputFileError: Not such a file, or a model for other features or parameters.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as content:
+            arrays = {name: content[name] for name in content.files}
+        names = [tuple(arrays.pop(key).tolist()) for key in (_FEATURES, _PARAMETERS)]
+        learner = MetaLearner.from_tensors(arrays)
+    except (OSError, BadZipFile, ValueError, KeyError, TableError) as error:
+        raise InputFileError(str(path), error, "a model written by geoorbit train") from error
+    expected = [learner.feature_names, learner.parameter_names]
+    if names != expected:
+        raise InputFileError(str(path), f"a model of {names}", f"one of {expected}")
+    return learner
+
+
+def save_history(rounds: Sequence[Round], path: Path) -> None:
+    """Write the rounds as CSV."""
+    with atomic_output(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as f:
+        writer = csv.writer(f)
+        writer.writerow(field.name for field in fields(Round))
+        writer.writerows(astuple(entry) for entry in rounds)
+
+
+def load_history(path: Path) -> list[Round]:
+    """Read what `save_history` wrote.
+
+    Raises:
+        InputFileError: Not such a file.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            header, *rows = list(csv.reader(file))
+        if header != [field.name for field in fields(Round)]:
+            raise InputFileError(str(path), f"columns {header}", "a history of geoorbit train")
+        return [Round(int(row[0]), *map(float, row[1:])) for row in rows]
+    except (OSError, ValueError) as error:
+        raise InputFileError(str(path), error, "a history of geoorbit train") from error

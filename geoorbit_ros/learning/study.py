@@ -1,0 +1,126 @@
+"""A study: a fleet's cameras, models trained on the seen ones, and all models judged on all."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.core.errors import InputFileError
+from geoorbit_ros.learning.fleet import Fleet, load_fleet
+from geoorbit_ros.learning.fleet_cameras import (
+    FleetCamera,
+    best_parameters,
+    examples_of,
+    fleet_cameras,
+)
+from geoorbit_ros.learning.loss_table import LossTable
+from geoorbit_ros.learning.meta_learner import MetaLearner
+from geoorbit_ros.learning.model_file import save_history, save_model
+from geoorbit_ros.learning.training import Mode, Round, RunSettings, TrainedModel, train
+from geoorbit_ros.learning.workers import Progress, quiet
+from geoorbit_ros.storage.atomic import atomic_output
+
+CAMERAS, FLEET_FILE = "cameras", "fleet.yaml"
+
+
+@dataclass(frozen=True, slots=True)
+class Study:
+    """A folder that `geoorbit train` fills and `geoorbit evaluate` reads.
+
+    Attributes:
+        folder: It holds `fleet.yaml`, `cameras/` and one folder per estimator with a model
+            `<mode>-<seed>.npz`, its history `.csv` and its settings `.json`.
+        fleet: The fleet.
+        workers: Processes.
+    """
+
+    folder: Path
+    fleet: Fleet
+    workers: int = 1
+
+    def model_path(self, estimator: str, mode: Mode, seed: int) -> Path:
+        """Where a trained model is."""
+        return self.folder / estimator / f"{mode}-{seed}.npz"
+
+    def models(self, estimator: str, mode: Mode) -> list[Path]:
+        """The trained models of an estimator and mode, one per seed."""
+        found = (self.folder / estimator).glob(f"{mode}-*.npz")
+        return sorted(found, key=lambda path: int(path.stem.rpartition("-")[2]))
+
+    def cameras(self, progress: Progress = quiet) -> list[FleetCamera]:
+        """All cameras of the fleet, simulated where they are not in the folder yet."""
+        return fleet_cameras(self.fleet, self.folder / CAMERAS, self.workers, progress)
+
+
+def open_study(folder: Path, fleet_file: Path | None = None, workers: int = 1) -> Study:
+    """The study in a folder; with `fleet_file`, one for that fleet, begun if need be.
+
+    Raises:
+        InputFileError: No study there, or one of another fleet.
+    """
+    kept = folder / FLEET_FILE
+    if fleet_file is None:
+        if not kept.exists():
+            raise InputFileError(str(folder), "no fleet.yaml", "a folder of geoorbit train")
+        return Study(folder, load_fleet(kept), workers)
+    fleet = load_fleet(fleet_file)
+    if kept.exists() and load_fleet(kept) != fleet:
+        raise InputFileError(str(folder), "a study of another fleet", "a new folder")
+    if not kept.exists():
+        with atomic_output(kept) as path:
+            path.write_bytes(fleet_file.read_bytes())
+    return Study(folder, fleet, workers)
+
+
+def train_study(
+    study: Study,
+    estimator: str,
+    modes: Sequence[Mode],
+    seeds: Sequence[int],
+    settings: RunSettings,
+    progress: Progress = quiet,
+) -> dict[tuple[Mode, int], TrainedModel]:
+    """Train and write one model per mode and seed."""
+    cameras = [camera for camera in study.cameras(progress) if camera.split == "seen"]
+    best = best_parameters(
+        cameras, estimator, study.folder / CAMERAS, study.workers, progress=progress
+    )
+    examples = examples_of(cameras, best)
+    table = LossTable(
+        {camera.camera_id: camera.path for camera in cameras},
+        estimator,
+        "supervision",
+        study.workers,
+    )
+
+    def composite(learner: MetaLearner, names: Sequence[str]) -> NDArray[np.float64]:
+        asked = [(name, learner.predict_unit(examples[name].features[0])) for name in names]
+        return np.array([losses.total for losses in table.losses(asked)])
+
+    models: dict[tuple[Mode, int], TrainedModel] = {}
+    for mode in modes:
+        for seed in seeds:
+            chosen = replace(settings, seed=seed)
+            what = f"training {mode} {seed} ({estimator})"
+            progress(what, 0.0)
+
+            def show(entry: Round, what: str = what) -> None:
+                progress(what, entry.number / (settings.rounds + 1))
+
+            model = train(mode, examples, composite, chosen, show)
+            models[mode, seed] = model
+            _write_model(study.model_path(estimator, mode, seed), model, chosen)
+    return models
+
+
+def _write_model(path: Path, model: TrainedModel, settings: RunSettings) -> None:
+    save_model(model.learner, path)
+    save_history(model.rounds, path.with_suffix(".csv"))
+    about = {"settings": asdict(settings), "traffic": asdict(model.traffic)}
+    with atomic_output(path.with_suffix(".json")) as temporary:
+        temporary.write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")

@@ -1,0 +1,184 @@
+"""Training of the meta-learner over rounds: central (Meta) and federated (FedMeta)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.federated.client import FederatedClient, LocalResult, Work
+from geoorbit_ros.federated.encodings.factory import make_encoding
+from geoorbit_ros.federated.global_model import interface_digest
+from geoorbit_ros.federated.in_process import run_in_process
+from geoorbit_ros.federated.keys import Member, Roster
+from geoorbit_ros.federated.server import FederatedServer
+from geoorbit_ros.federated.server_config import ServerConfig
+from geoorbit_ros.federated.strategies.factory import make_strategy
+from geoorbit_ros.federated.traffic import Traffic
+from geoorbit_ros.learning.features import FEATURE_NAMES
+from geoorbit_ros.learning.local_training import (
+    Examples,
+    TrainingSettings,
+    parameter_loss,
+    train_locally,
+)
+from geoorbit_ros.learning.meta_learner import MetaLearner
+from geoorbit_ros.learning.parameter_space import PARAMETER_NAMES
+
+Mode = Literal["central", "federated"]
+MODES: tuple[Mode, ...] = ("central", "federated")
+
+CompositeLoss = Callable[[MetaLearner, Sequence[str]], NDArray[np.float64]]
+"""(N,) L_total of the named cameras with the theta that a learner predicts for them."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunSettings:
+    """How the meta-learner is trained.
+
+    Attributes:
+        rounds: Most rounds.
+        stop_below: The paper's lambda: training ends once the cameras' mean L_total is not above
+            it. NaN: never.
+        clients_per_round: Cameras that train in a federated round; 0: all.
+        strategy: A name of `federated.strategies.factory`.
+        encoding: A name of `federated.encodings.factory`.
+        training: What happens between two rounds.
+        seed: Of the first weights and of the selection of clients.
+    """
+
+    rounds: int = 20
+    stop_below: float = float("nan")
+    clients_per_round: int = 0
+    strategy: str = "fedavg"
+    encoding: str = "float32"
+    training: TrainingSettings = field(default_factory=TrainingSettings)
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Round:
+    """The model before a round's training, over all seen cameras.
+
+    Attributes:
+        number: From 1.
+        parameter_loss: Mean L_param.
+        parameter_loss_std: Its standard deviation over the cameras.
+        composite_loss: Mean L_total.
+    """
+
+    number: int
+    parameter_loss: float
+    parameter_loss_std: float
+    composite_loss: float
+
+
+@dataclass(frozen=True, slots=True)
+class TrainedModel:
+    """What training gives.
+
+    Attributes:
+        learner: f_phi.
+        rounds: Its history; the last entry is the final model, one beyond the last round.
+        traffic: What crossed the wire; nothing in central training.
+    """
+
+    learner: MetaLearner
+    rounds: tuple[Round, ...]
+    traffic: Traffic
+
+
+def train(
+    mode: Mode,
+    examples: dict[str, Examples],
+    composite: CompositeLoss,
+    settings: RunSettings,
+    on_round: Callable[[Round], None] | None = None,
+) -> TrainedModel:
+    """Train on the examples of many cameras, by camera id.
+
+    Both modes start from the same weights and take the same gradient steps on the same loss; one
+    has all examples in one place, the other leaves each on its camera.
+    """
+    history: list[Round] = []
+
+    def note(learner: MetaLearner) -> Round:
+        loss = np.concatenate([parameter_loss(learner, e) for e in examples.values()])
+        total = float(np.mean(composite(learner, list(examples))))
+        history.append(Round(len(history) + 1, float(loss.mean()), float(loss.std()), total))
+        if on_round:
+            on_round(history[-1])
+        return history[-1]
+
+    start = MetaLearner.untrained(settings.seed)
+    run = _train_central if mode == "central" else _train_federated
+    learner, traffic = run(examples, composite, settings, start, note)
+    note(learner)
+    return TrainedModel(learner, tuple(history), traffic)
+
+
+_Note = Callable[[MetaLearner], Round]
+
+
+def _train_central(
+    examples: dict[str, Examples],
+    _composite: CompositeLoss,
+    settings: RunSettings,
+    learner: MetaLearner,
+    note: _Note,
+) -> tuple[MetaLearner, Traffic]:
+    everything = Examples(
+        np.concatenate([e.features for e in examples.values()]),
+        np.concatenate([e.targets for e in examples.values()]),
+    )
+    for _ in range(settings.rounds):
+        if note(learner).composite_loss <= settings.stop_below:
+            break
+        tensors = learner.tensors()
+        delta, _, _ = train_locally(tensors, everything, settings.training)
+        learner = MetaLearner.from_tensors({name: tensors[name] + delta[name] for name in tensors})
+    return learner, Traffic()
+
+
+def _train_federated(
+    examples: dict[str, Examples],
+    composite: CompositeLoss,
+    settings: RunSettings,
+    learner: MetaLearner,
+    note: _Note,
+) -> tuple[MetaLearner, Traffic]:
+    interface = interface_digest(FEATURE_NAMES, PARAMETER_NAMES)
+    config = ServerConfig(
+        rounds=settings.rounds,
+        target_loss=settings.stop_below,
+        clients_per_round=settings.clients_per_round,
+        encoding=settings.encoding,
+        interface=interface,
+        seed=settings.seed,
+    )
+    roster = Roster([Member(camera_id, None) for camera_id in examples])
+    server = FederatedServer(config, learner.tensors(), roster, make_strategy(settings.strategy))
+    clients = [
+        FederatedClient(camera_id, encoding=make_encoding(settings.encoding), interface=interface)
+        for camera_id in examples
+    ]
+
+    def train_many(asked: Sequence[tuple[FederatedClient, Work]]) -> list[LocalResult]:
+        if not asked:
+            return []
+        learner = MetaLearner.from_tensors(asked[0][1].tensors)
+        note(learner)
+        losses = composite(learner, [client.camera_id for client, _ in asked])
+        results = []
+        for (client, work), loss in zip(asked, losses, strict=True):
+            delta, count, _ = train_locally(
+                work.tensors, examples[client.camera_id], settings.training, work.order.proximal_mu
+            )
+            results.append(LocalResult(delta, count, float(loss)))
+        return results
+
+    traffic = run_in_process(server, clients, train_many)
+    return MetaLearner.from_tensors(server.published), traffic
