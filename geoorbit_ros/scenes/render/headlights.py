@@ -125,7 +125,9 @@ class Headlights:
                 radius = self._unit * float(np.clip(620.0 / distance, 4.5, 20.0)) * level
             self._add_sprite(picture, kind, pixel[k], radius, level)
             if self._wet:
-                self._add_sprite(picture, kind + "_wet", mirrored[k], radius, 0.55 * level)
+                # Ripples draw the mirrored lamp out, towards the camera.
+                below = mirrored[k] + [0.0, 2.5 * radius]
+                self._add_sprite(picture, kind + "_wet", below, radius, 0.55 * level)
 
     def _add_sprite(
         self,

@@ -60,6 +60,7 @@ def add_trees(
             slice(low[1] - bottom + rows, high[1] - bottom + rows),
             slice(low[0] - left, high[0] - left),
         )
+        _ground_shadow(picture, pavement, foot, columns)
         clear = np.float32(np.exp(-float(depth) / light.haze_m))
         seen = clear * colour[cut] + (1 - clear) * channels(light.horizon)
         picture[at] += (seen - picture[at]) * share[cut][..., None]
@@ -136,6 +137,26 @@ def _tree(
     lit = channels(light.ambient) + np.float32(0.55) * channels(light.sun)
     colour = np.clip(shade, 0.15, 1.3)[..., None] * leaves * lit
     return np.asarray(colour, dtype=np.float32), np.asarray(cover, dtype=np.float32)
+
+
+def _ground_shadow(
+    picture: NDArray[np.float32],
+    pavement: NDArray[np.float32],
+    foot: NDArray[np.float64],
+    columns: int,
+) -> None:
+    """Darken the grass under a crown."""
+    height, width = pavement.shape
+    half = 0.5 * columns, 0.11 * columns
+    low = [max(int(c - h), 0) for c, h in zip(foot, half, strict=True)]
+    high = [min(int(c + h) + 1, n) for c, h, n in zip(foot, half, (width, height), strict=True)]
+    if low[0] >= high[0] or low[1] >= high[1]:
+        return
+    y, x = np.mgrid[low[1] : high[1], low[0] : high[0]].astype(np.float32)
+    r = np.hypot((x + 0.5 - foot[0]) / half[0], (y + 0.5 - foot[1]) / half[1])
+    at = slice(low[1], high[1]), slice(low[0], high[0])
+    dark = 0.5 * np.clip(1.0 - r, 0.0, 0.6) * (1.0 - pavement[at])
+    picture[at] *= (1.0 - dark.astype(np.float32))[..., None]
 
 
 def _grain(
