@@ -15,6 +15,7 @@ import typer
 
 from geoorbit_ros import __version__
 from geoorbit_ros.cli import bag, camera, database, scene, twin
+from geoorbit_ros.cli import map as road_map
 from geoorbit_ros.cli.demo import demo
 from geoorbit_ros.cli.detect import detect
 from geoorbit_ros.cli.export import export
@@ -88,6 +89,7 @@ app.add_typer(scene.app, name="scene")
 app.add_typer(camera.app, name="camera")
 app.add_typer(bag.app, name="bag")
 app.add_typer(database.app, name="db")
+app.add_typer(road_map.app, name="map")
 app.add_typer(twin.app, name="twin")
 
 

@@ -75,3 +75,28 @@ def save_picture(path: Path, network: RoadNetwork, ways: WayKeeper, title: str) 
     plot.set_title(title, fontsize=10)
     figure.tight_layout()
     figure.savefig(path, dpi=130)
+
+
+def save_map(path: Path, network: RoadNetwork) -> None:
+    """Draw a whole network in the map frame, north up, with arrows along its lanes."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10.0, 7.0))
+    plot = figure.add_subplot()
+    plot.set_aspect("equal", adjustable="datalim")
+    for k in range(len(network)):
+        line = network.line(k)
+        style = ":" if network.internal[k] else "-"
+        colour = _COLOURS[int(network.index[k]) % len(_COLOURS)]
+        plot.plot(line[:, 0], line[:, 1], style, color=colour, linewidth=0.8)
+        if not network.internal[k]:
+            middle = max(len(line) // 2, 1)
+            begin, end = line[middle - 1], line[middle]
+            plot.annotate(
+                "", 0.5 * (begin + end), begin, arrowprops={"arrowstyle": "->", "color": colour}
+            )
+    plot.set_xlabel("east of the datum, m")
+    plot.set_ylabel("north, m")
+    plot.set_title(f"{network.path.name}: colours count lanes from the right", fontsize=10)
+    figure.tight_layout()
+    figure.savefig(path, dpi=130)
