@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,6 +13,7 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
 from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.core.errors import CalibrationError
 from geoorbit_ros.twin.errors import RoadNetworkError
 from geoorbit_ros.twin.network_file import LaneRecord, read_network_file
 from geoorbit_ros.twin.plane import NetworkPlane
@@ -85,7 +87,8 @@ def load_network(path: str | Path, datum: Datum | None = None) -> RoadNetwork:
 
     Args:
         path: A `.net.xml` or `.net.xml.gz` file with a projection.
-        datum: Origin of the map frame; default: the middle of the network.
+        datum: Origin of the map frame; default: where the network's own coordinates are zero, if
+            they are such a frame (`geoorbit map build` makes them so), else its middle.
 
     Raises:
         RoadNetworkError: A file that can't be used; in particular one without projection, because
@@ -101,10 +104,22 @@ def load_network(path: str | Path, datum: Datum | None = None) -> RoadNetwork:
     points = np.concatenate([lane.shape for lane in content.lanes])
     low, high = points.min(axis=0), points.max(axis=0)
     bounds = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+    if datum is None and content.net_offset == (0.0, 0.0):
+        datum = _own_datum(content.projection)
     if datum is None:
         datum = _middle(content.projection, content.net_offset, 0.5 * (low + high), str(path))
     plane = NetworkPlane(content.projection, content.net_offset, bounds, datum, str(path))
     return _assemble(Path(path), datum, plane, content.lanes, content.links)
+
+
+def _own_datum(projection: str) -> Datum | None:
+    """The datum whose map frame a projection is; None for any other projection."""
+    values = dict(re.findall(r"\+(lat_0|lon_0)=(\S+)", projection))
+    try:
+        datum = Datum(float(values["lat_0"]), float(values["lon_0"]))
+    except (KeyError, ValueError, CalibrationError):
+        return None
+    return datum if datum.proj_string == projection else None
 
 
 def _middle(
