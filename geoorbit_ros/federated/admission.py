@@ -105,7 +105,7 @@ class Admission:
         if update.model != state.digests.get(update.round):
             found, expected = f"model {update.model:08x}", f"that of round {update.round}"
             raise PayloadError(Refusal.OTHER_MODEL, SCHEMA, found, expected)
-        if state.answered.get(update.client, 0) >= update.round:
+        if state.ledger.last(update.client) >= update.round:
             found = f"client {update.client} for round {update.round} again"
             raise PayloadError(Refusal.DUPLICATE, SCHEMA, found, "one update per round")
 

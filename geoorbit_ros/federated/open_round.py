@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 from geoorbit_ros.federated.client_update import ClientUpdate
 from geoorbit_ros.federated.layout import Vector
 from geoorbit_ros.federated.strategies.collection import Aggregate, Collection
@@ -16,16 +14,10 @@ class OpenRound:
 
     Args:
         collection: The strategy's.
-
-    Attributes:
-        clients: Clients heard, each with the latest round that it answered.
-        utility: Usefulness of their updates, see `Selection.choose`.
     """
 
     def __init__(self, collection: Collection) -> None:
         self._collection = collection
-        self.clients: dict[int, int] = {}
-        self.utility: dict[int, float] = {}
         self._loss_sum = self._loss_weight = 0
 
     @property
@@ -36,8 +28,6 @@ class OpenRound:
     def add(self, update: ClientUpdate, vector: Vector, weight: float) -> None:
         """Take an update that was admitted."""
         self._collection.add(update.client, vector, weight)
-        self.clients[update.client] = update.round
-        self.utility[update.client] = abs(update.loss) * math.sqrt(update.sample_count)
         # Whole numbers, so that the mean does not depend on the order of arrival either.
         self._loss_sum += round(update.loss * 2**_LOSS_BITS) * update.sample_count
         self._loss_weight += update.sample_count

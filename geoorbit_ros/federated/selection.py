@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geoorbit_ros.federated.errors import FederationError
 
@@ -16,7 +17,7 @@ class Selection(Protocol):
     """Chooses clients; the same arguments give the same choice, also after a restart."""
 
     def choose(
-        self, clients: Sequence[int], number: int, round_number: int, utility: Mapping[int, float]
+        self, clients: Sequence[int], number: int, round_number: int, utility: NDArray[np.float64]
     ) -> tuple[int, ...]:
         """Choose clients for a round.
 
@@ -24,8 +25,8 @@ class Selection(Protocol):
             clients: All members, ascending.
             number: How many to choose, at most `len(clients)`.
             round_number: The round, from 1.
-            utility: What is known of a client's last update: its loss times the root of its number
-                of examples. Clients that never sent one are absent.
+            utility: What is known of each client's last update, in the order of `clients`: its loss
+                times the root of its number of examples. NaN where it never sent one.
 
         Returns:
             Chosen clients, ascending.
@@ -39,7 +40,7 @@ class RandomSelection:
         self._seed = seed
 
     def choose(
-        self, clients: Sequence[int], number: int, round_number: int, utility: Mapping[int, float]
+        self, clients: Sequence[int], number: int, round_number: int, utility: NDArray[np.float64]
     ) -> tuple[int, ...]:
         """See `Selection.choose`."""
         generator = np.random.default_rng([self._seed, round_number])
@@ -50,7 +51,7 @@ class RoundRobinSelection:
     """One after the other; nobody waits longer than everybody else's turn."""
 
     def choose(
-        self, clients: Sequence[int], number: int, round_number: int, utility: Mapping[int, float]
+        self, clients: Sequence[int], number: int, round_number: int, utility: NDArray[np.float64]
     ) -> tuple[int, ...]:
         """See `Selection.choose`."""
         start = (round_number - 1) * number
@@ -69,12 +70,12 @@ class ImportanceSelection:
         self._seed = seed
 
     def choose(
-        self, clients: Sequence[int], number: int, round_number: int, utility: Mapping[int, float]
+        self, clients: Sequence[int], number: int, round_number: int, utility: NDArray[np.float64]
     ) -> tuple[int, ...]:
         """See `Selection.choose`."""
-        highest = max(utility.values(), default=0.0) or 1.0
-        value = np.array([utility.get(client, highest) for client in clients])
-        value = np.maximum(value, 0.1 * highest)
+        known = utility[np.isfinite(utility)]
+        highest = float(np.max(known, initial=0.0)) or 1.0
+        value = np.maximum(np.nan_to_num(utility, nan=highest), 0.1 * highest)
         generator = np.random.default_rng([self._seed, round_number])
         chosen = generator.choice(clients, number, replace=False, p=value / value.sum())
         return tuple(sorted(chosen.tolist()))

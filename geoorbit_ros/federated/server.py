@@ -16,6 +16,7 @@ from geoorbit_ros.federated.errors import FederationError, PayloadError, Refusal
 from geoorbit_ros.federated.global_model import ASYNCHRONOUS, FINAL, MASKED
 from geoorbit_ros.federated.keys import Roster, Signer
 from geoorbit_ros.federated.layout import ModelLayout, Tensors
+from geoorbit_ros.federated.ledger import Ledger
 from geoorbit_ros.federated.masked_round import STAGE_S, MaskedRound
 from geoorbit_ros.federated.open_round import OpenRound
 from geoorbit_ros.federated.privacy import clipped, normal_noise
@@ -94,9 +95,10 @@ class FederatedServer:
         )
         self._checkpoint = checkpoint
         first = self.layout.flatten(tensors)
-        saved = read_checkpoint(checkpoint, self.layout) if checkpoint else None
+        ledger = Ledger(self._members)
+        saved = read_checkpoint(checkpoint, self.layout, ledger) if checkpoint else None
         self.resumed = saved is not None
-        self._state = saved or ServerState(config.run, first, first)
+        self._state = saved or ServerState(config.run, first, first, ledger)
         self._strategy.restore(self._state.optimiser)
         self.accepted = 0
         self.refused: Counter[Refusal] = Counter()
@@ -180,9 +182,6 @@ class FederatedServer:
             if self._masked is not None:
                 return self._receive_masked(self._masked, payload, now_s)
             update, vector = self._admission.admit(payload, self._state, self._selected)
-            if self._round.clients.get(update.client, 0) >= update.round:
-                found = f"client {update.client} for round {update.round} again"
-                raise PayloadError(Refusal.DUPLICATE, "update", found, "one update per round")
         except PayloadError as error:
             self.refused[error.reason] += 1
             raise
@@ -191,10 +190,12 @@ class FederatedServer:
         else:
             weight = self._strategy.weight(update.sample_count, self.round - update.round)
         self._round.add(update, vector, weight)
+        utility = abs(update.loss) * math.sqrt(update.sample_count)
+        self._state.ledger.note(update.client, update.round, utility)
         self.accepted += 1
         if self.collected < self._wanted:
             return None
-        return self._close(self._round.result(), self._round.clients, now_s)
+        return self._close(self._round.result(), self.collected, now_s)
 
     def tick(self, now_s: float) -> bytes | None:
         """Look at the time.
@@ -209,7 +210,7 @@ class FederatedServer:
         if self._masked is not None:
             return self._advance_masked(self._masked, now_s)
         if self.collected >= self._quorum():
-            return self._close(self._round.result(), self._round.clients, now_s)
+            return self._close(self._round.result(), self.collected, now_s)
         return self._again(now_s)
 
     def _check_settings(self) -> None:
@@ -226,7 +227,7 @@ class FederatedServer:
         number = self.config.clients_per_round
         chosen: tuple[int, ...] = ()
         if 0 < number < len(self._members) and not (self._asynchronous or self.finished):
-            utility = self._state.utility
+            utility = self._state.ledger.utility
             chosen = self._selection.choose(self._members, number, self.round, utility)
         self._selected = frozenset(chosen)
         # Stays when the round is opened to all: then anybody may stand in for the silent ones.
@@ -278,26 +279,21 @@ class FederatedServer:
             result = masked.result()
         except FederationError:  # a client lied about its shares: without this attempt, then
             return self._again(now_s)
-        survivors = dict.fromkeys(masked.coordinator.survivors, self.round)
-        return self._close(result, survivors, now_s)
+        return self._close(result, len(masked.coordinator.survivors), now_s)
 
-    def _close(
-        self, result: tuple[Aggregate, float], answered: dict[int, int], now_s: float
-    ) -> bytes:
+    def _close(self, result: tuple[Aggregate, float], number: int, now_s: float) -> bytes:
         """Make the next model, keep it, announce it."""
         state, config = self._state, self.config
         aggregate, loss = result
         if config.noise_multiplier:
             noise = normal_noise(state.secret, state.round, self.layout.size)
-            spread = config.noise_multiplier * config.clip_norm / len(answered)
+            spread = config.noise_multiplier * config.clip_norm / number
             aggregate = aggregate + spread * noise
         change = self._strategy.step(aggregate)
         state.model = (state.model + change).astype(np.float32)
         state.optimiser = self._strategy.state()
-        state.answered |= answered
-        state.utility |= self._round.utility
         seconds = now_s - self._opened_s
-        state.history.append(RoundRecord(state.round, len(answered), loss, seconds))
+        state.history.append(RoundRecord(state.round, number, loss, seconds))
         state.round += 1
         state.finished = state.round > config.rounds or loss <= config.target_loss
         self._announcer.advance(state)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.federated.errors import FederationError
 from geoorbit_ros.federated.layout import ModelLayout, Vector
+from geoorbit_ros.federated.ledger import Ledger
 from geoorbit_ros.storage.atomic import atomic_output
 
 FORMAT = 1
@@ -59,8 +60,7 @@ class ServerState:
         model: The model as the server has it, shape (size,).
         published: The model as the clients have it: they differ by what encodings lose.
         optimiser: State of the strategy.
-        utility: Usefulness of each client's last update (`Selection.choose`).
-        answered: Last round that each client's update was taken for.
+        ledger: Who has answered which round.
         digests: Digest of each model that an update may still name, by round.
         history: Records of all rounds so far.
         secret: 32 bytes for noise that nobody may foresee.
@@ -69,11 +69,10 @@ class ServerState:
     run: int
     model: Vector
     published: Vector
+    ledger: Ledger
     round: int = 1
     finished: bool = False
     optimiser: dict[str, NDArray[np.float64]] = field(default_factory=dict)
-    utility: dict[int, float] = field(default_factory=dict)
-    answered: dict[int, int] = field(default_factory=dict)
     digests: dict[int, int] = field(default_factory=dict)
     history: list[RoundRecord] = field(default_factory=list)
     secret: bytes = field(default_factory=lambda: os.urandom(32))
@@ -101,8 +100,9 @@ def write_checkpoint(path: Path, layout: ModelLayout, state: ServerState) -> Non
     arrays |= {
         "model": state.model,
         "published": state.published,
-        "utility": _columns(state.utility),
-        "answered": _columns(state.answered),
+        "members": np.array(state.ledger.members, np.uint32),
+        "answered": state.ledger.answered,
+        "utility": state.ledger.utility,
         "digests": _columns(state.digests),
         "facts": np.frombuffer(json.dumps(facts).encode(), np.uint8),
     }
@@ -118,8 +118,8 @@ def write_checkpoint(path: Path, layout: ModelLayout, state: ServerState) -> Non
         os.close(folder)
 
 
-def read_checkpoint(path: Path, layout: ModelLayout) -> ServerState | None:
-    """The state in a checkpoint; None when there is none.
+def read_checkpoint(path: Path, layout: ModelLayout, ledger: Ledger) -> ServerState | None:
+    """The state in a checkpoint, its ledger filled in; None when there is none.
 
     Raises:
         FederationError: A file that is no checkpoint, or one of another model.
@@ -131,7 +131,7 @@ def read_checkpoint(path: Path, layout: ModelLayout) -> ServerState | None:
             arrays = {name: file[name] for name in file.files}
         facts = json.loads(arrays.pop("facts").tobytes())
         found = ModelLayout(tuple(facts["names"]), tuple(map(tuple, facts["shapes"])))
-        state = _state(facts, arrays)
+        state = _state(facts, arrays, ledger)
     except _UNREADABLE as error:
         raise FederationError(str(path), error, "a checkpoint of federated_server") from None
     if found != layout:
@@ -140,10 +140,12 @@ def read_checkpoint(path: Path, layout: ModelLayout) -> ServerState | None:
 
 
 def _state(
-    facts: Mapping[str, object] | dict[str, object], arrays: dict[str, NDArray[np.float64]]
+    facts: Mapping[str, object], arrays: dict[str, NDArray[np.float64]], ledger: Ledger
 ) -> ServerState:
     prefix = "optimiser_"
     history = facts["history"]
+    columns = [arrays[name].tolist() for name in ("members", "answered", "utility")]
+    ledger.take_over(*columns)
     assert isinstance(history, list)
     return ServerState(
         run=int(str(facts["run"])),
@@ -152,8 +154,7 @@ def _state(
         round=int(str(facts["round"])),
         finished=bool(facts["finished"]),
         optimiser={k[len(prefix) :]: v for k, v in arrays.items() if k.startswith(prefix)},
-        utility=dict(zip(*_rows(arrays["utility"]), strict=True)),
-        answered={k: int(v) for k, v in zip(*_rows(arrays["answered"]), strict=True)},
+        ledger=ledger,
         digests={k: int(v) for k, v in zip(*_rows(arrays["digests"]), strict=True)},
         history=[RoundRecord(*row) for row in history],
         secret=bytes.fromhex(str(facts["secret"])),

@@ -16,6 +16,7 @@ from geoorbit_ros.federated import client as client_module
 from geoorbit_ros.federated import server as server_module
 from geoorbit_ros.federated.encodings.factory import make_encoding
 from geoorbit_ros.federated.errors import FederationError, PayloadError, Refusal
+from geoorbit_ros.federated.ledger import Ledger
 from geoorbit_ros.federated.server_config import ServerConfig
 from geoorbit_ros.federated.server_state import read_checkpoint
 from geoorbit_ros.federated.strategies.fedadam import FedAdam
@@ -211,10 +212,13 @@ def test_a_checkpoint_is_read_as_it_was_written(tmp_path: Path) -> None:
     network = federation_in(tmp_path)
     network.run(None, SERVER)
     server = network.federation.server
-    saved = read_checkpoint(tmp_path / "server.npz", server.layout)
+    ledger = Ledger(server._state.ledger.members)
+    saved = read_checkpoint(tmp_path / "server.npz", server.layout, ledger)
     assert saved is not None
-    for name in ("run", "round", "finished", "utility", "answered", "digests", "history", "secret"):
+    for name in ("run", "round", "finished", "digests", "history", "secret"):
         assert getattr(saved, name) == getattr(server._state, name), name
+    np.testing.assert_array_equal(ledger.answered, server._state.ledger.answered)
+    np.testing.assert_array_equal(ledger.utility, server._state.ledger.utility)
     np.testing.assert_array_equal(saved.model, server._state.model)
     np.testing.assert_array_equal(saved.optimiser["moments"], server._state.optimiser["moments"])
 

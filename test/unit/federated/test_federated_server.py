@@ -114,7 +114,7 @@ def test_a_subset_is_asked_and_nobody_else_is_heard(selection: str) -> None:
 
 def test_importance_prefers_those_with_more_to_learn() -> None:
     clients = list(range(10))
-    utility = {k: 1.0 if k else 20.0 for k in clients}
+    utility = np.array([20.0] + [1.0] * 9)
     choice = make_selection("importance", 0)
     chosen = [choice.choose(clients, 2, n, utility) for n in range(1, 301)]
     counts = np.bincount(np.ravel(chosen), minlength=10)
