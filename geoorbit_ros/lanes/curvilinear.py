@@ -7,8 +7,10 @@ an axis: it depends on distances and angles between vehicles alone.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +27,7 @@ from geoorbit_ros.lanes.passes import Passes
 from geoorbit_ros.lanes.profiles import lateral_profiles
 from geoorbit_ros.lanes.shapes import cross_sections, shape_lanes
 from geoorbit_ros.lanes.spine import Spine
+from geoorbit_ros.lanes.state import State
 
 GROWTH = 1.0
 """Share by which the evidence grows before a derivation. A centreline's error shrinks with the root
@@ -90,6 +93,7 @@ class CurvilinearEstimator:
         named = self._registry.identify(lanes, matched)
         lane_map = LaneMap(stamp_ns, tuple(sorted(named, key=lambda k: k.lane_id)), sections)
         self._counted, self._bundle = self._evidence.finished_ever, False
+        self._strays.derived()
         self._last = _Derived(
             lane_map,
             parameters,
@@ -123,6 +127,19 @@ class CurvilinearEstimator:
             lanes.append(judge(more, seen, lane.status == "confirmed"))
         self._registry.identify(lanes, lanes)
         return replace(last.lane_map, stamp_ns=self._evidence.stamp_ns, lanes=tuple(lanes))
+
+    def state(self) -> State:
+        """Passes and lanes; what is derived from them is not kept."""
+        return self._evidence.state() | self._registry.state()
+
+    def restore(self, state: Mapping[str, NDArray[Any]], stamp_ns: int) -> None:
+        """Go on from a state; the next frame comes at `stamp_ns`.
+
+        Raises:
+            KeyError, ValueError, IndexError: Not such a state.
+        """
+        self._evidence.restore(state, stamp_ns)
+        self._registry.restore(state)
 
     def _corridors(self, passes: Passes) -> list[Corridor]:
         """Corridors along the known reference curves; these are traced anew as evidence grows."""

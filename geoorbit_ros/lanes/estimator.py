@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Mapping
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.lanes.parameters import LaneParameters
+from geoorbit_ros.lanes.state import State
 
 
 class LaneEstimator(Protocol):
@@ -28,4 +30,16 @@ class LaneEstimator(Protocol):
 
     def update(self, parameters: LaneParameters) -> LaneMap:
         """The lanes refined by what came since the last map, at a fraction of its cost."""
+        ...
+
+    def state(self) -> State:
+        """What it remembers, as arrays."""
+        ...
+
+    def restore(self, state: Mapping[str, NDArray[Any]], stamp_ns: int) -> None:
+        """Go on from a state; the next frame comes at `stamp_ns`.
+
+        Raises:
+            KeyError, ValueError, IndexError: Not a state of this estimator.
+        """
         ...

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,6 +20,7 @@ from geoorbit_ros.lanes.passes import (
     newest,
     select,
 )
+from geoorbit_ros.lanes.state import State, pack_passes, unpack_passes
 from geoorbit_ros.lanes.track_rows import TrackRows, no_rows, order_by_track, usable_rows
 
 MAX_PASSES = 1500
@@ -76,6 +80,23 @@ class Evidence:
         new = newest(self._finished, self._finished_ever - count)
         begin_s = new.time_s[new.offset[:-1]]
         return select(new, begin_s > (stamp_ns - (self._epoch_ns or 0)) * 1e-9)
+
+    def state(self) -> State:
+        """What is remembered, but for vehicles still in view."""
+        self.settle()
+        times = np.array([self._epoch_ns or 0, self._now_ns, self._finished_ever], np.int64)
+        return pack_passes(self._finished) | {"evidence": times}
+
+    def restore(self, state: Mapping[str, NDArray[Any]], stamp_ns: int) -> None:
+        """Go on from `state` with a frame at `stamp_ns`; where that is earlier, time is moved.
+
+        Raises:
+            KeyError, ValueError: Not such a state.
+        """
+        self._finished = unpack_passes(state)
+        epoch_ns, now_ns, self._finished_ever = (int(value) for value in state["evidence"])
+        self._now_ns = min(now_ns, stamp_ns - 1)
+        self._epoch_ns = epoch_ns + self._now_ns - now_ns
 
     def settle(self) -> float:
         """Move tracks that have ended from rows to passes; return the time in seconds."""

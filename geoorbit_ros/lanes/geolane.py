@@ -10,6 +10,9 @@ Gaussian of sigma 2, peaks at least three bins apart, at least 1 high and 1 prom
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import UnivariateSpline
@@ -21,6 +24,7 @@ from geoorbit_ros.core.lanes import CrossSection, Lane, LaneMap
 from geoorbit_ros.core.tables import TRACK_DTYPE
 from geoorbit_ros.lanes.identity import LaneRegistry
 from geoorbit_ros.lanes.parameters import LaneParameters
+from geoorbit_ros.lanes.state import State
 
 BINS = 50
 REFERENCE_SMOOTHING = 10.0
@@ -62,6 +66,18 @@ class GeoLaneEstimator:
     def update(self, parameters: LaneParameters) -> LaneMap:
         """The same as `lanes`: the paper's method starts from scratch each time."""
         return self.lanes(parameters)
+
+    def state(self) -> State:
+        """The lanes' names; the paper's method remembers no more than a minute."""
+        return self._registry.state()
+
+    def restore(self, state: Mapping[str, NDArray[Any]], stamp_ns: int) -> None:
+        """Know the lanes' names; `stamp_ns` means nothing here.
+
+        Raises:
+            KeyError, ValueError, IndexError: Not such a state.
+        """
+        self._registry.restore(state)
 
 
 def detect(

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from geoorbit_ros.core.lanes import Lane
+from geoorbit_ros.lanes.state import State, pack_lanes, unpack_lanes
 
 MATCH_M = 1.6
 """Half the narrowest spacing of lanes, and a little: further apart is another lane."""
@@ -26,6 +28,19 @@ class LaneRegistry:
     def __init__(self) -> None:
         self._known: dict[int, Lane] = {}
         self._next_id = 1
+
+    def state(self) -> State:
+        """All lanes ever known, and the next id."""
+        return pack_lanes(self._known.values()) | {"next_id": np.array([self._next_id], np.int64)}
+
+    def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Know the lanes of `state`.
+
+        Raises:
+            KeyError, ValueError, IndexError: Not such a state.
+        """
+        self._known = {lane.lane_id: lane for lane in unpack_lanes(state)}
+        self._next_id = int(state["next_id"][0])
 
     def match(self, lanes: Sequence[Lane]) -> list[Lane | None]:
         """For each lane the one known from earlier maps that it continues, one to one."""
@@ -53,7 +68,7 @@ class LaneRegistry:
         for lane, old in zip(lanes, matched, strict=True):
             lane_id = old.lane_id if old else self._next_id
             self._next_id += old is None
-            named.append(replace(lane, lane_id=lane_id))
+            named.append(lane if lane.lane_id == lane_id else replace(lane, lane_id=lane_id))
         self._known.update({lane.lane_id: lane for lane in named})
         return tuple(named)
 

@@ -27,9 +27,10 @@ STRAY_M = 25.0
 """Travel off all known lanes that may be along an unknown one: broken tracks are shorter."""
 CELL_M = 6.0
 CELLS_PER_TURN = 8
-BUNDLES = frozenset(3 * 4**k for k in range(12))
-"""Numbers of vehicles off the known lanes, all through one place, that may be a lane: three, and
-then ever more, since a place that made no lane before seldom makes one now."""
+BUNDLE = 3
+"""Vehicles off the known lanes, all through one place, that may be a lane."""
+MORE = 4
+"""Times as many as before it takes where they made no lane: that place seldom makes one now."""
 
 
 class LaneCounter:
@@ -75,12 +76,13 @@ class Strays:
 
     def __init__(self) -> None:
         self._count: dict[tuple[int, ...], int] = {}
+        self._known: dict[tuple[int, ...], int] = {}
 
     def add(self, passes: Passes, node: NDArray[np.int64]) -> bool:
         """Count passes at their nodes `node` (M,), which are off the lanes.
 
         Returns:
-            Whether the number of them at some place has come to be one of `BUNDLES`.
+            Whether there may be a lane now that the last derivation could not know of.
         """
         sector = np.rint(passes.heading[node] * (CELLS_PER_TURN / (2.0 * np.pi))) % CELLS_PER_TURN
         cell = np.column_stack([passes.owner[node], np.floor(passes.xy[node] / CELL_M), sector])
@@ -88,8 +90,12 @@ class Strays:
         for _, *place in set(map(tuple, cell.astype(np.int64).tolist())):
             key = tuple(place)
             self._count[key] = self._count.get(key, 0) + 1
-            bundle |= self._count[key] in BUNDLES
+            bundle |= self._count[key] == max(BUNDLE, MORE * self._known.get(key, 0))
         return bundle
+
+    def derived(self) -> None:
+        """A map was derived from all traffic so far."""
+        self._known = dict(self._count)
 
 
 def _dense(line: NDArray[np.float64]) -> NDArray[np.float64]:

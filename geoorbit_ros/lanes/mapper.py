@@ -20,6 +20,7 @@ class LaneMapper:
     and without a graph.
 
     Attributes:
+        estimator: What it feeds.
         parameters: Theta; may be replaced between frames.
 
     Raises:
@@ -34,7 +35,7 @@ class LaneMapper:
     ) -> None:
         if not update_period_s > 0.0:
             raise ParameterError("parameter 'update_period_s'", update_period_s, "more than 0 s")
-        self._estimator = estimator
+        self.estimator = estimator
         self.parameters = parameters or LaneParameters()
         self._period_ns = round(update_period_s * 1e9)
         self._due_ns: int | None = None
@@ -46,15 +47,15 @@ class LaneMapper:
             stamp_ns: Capture time, later than that of the call before.
             rows: (N,) `TRACK_DTYPE`.
         """
-        self._estimator.add(stamp_ns, rows)
+        self.estimator.add(stamp_ns, rows)
         if self._due_ns is None:
             self._due_ns = stamp_ns + self._period_ns
         if stamp_ns < self._due_ns:
             return None
         periods = (stamp_ns - self._due_ns) // self._period_ns + 1
         self._due_ns += periods * self._period_ns
-        return self._estimator.update(self.parameters)
+        return self.estimator.update(self.parameters)
 
     def finish(self) -> LaneMap:
         """The map of all frames so far, now."""
-        return self._estimator.lanes(self.parameters)
+        return self.estimator.lanes(self.parameters)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +19,7 @@ from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.core.tables import TRACK_DTYPE
 from geoorbit_ros.federated.keys import Verifier, public_key
 from geoorbit_ros.federated.theta_inbox import ThetaInbox
-from geoorbit_ros.lanes.factory import make_estimator
-from geoorbit_ros.lanes.mapper import LaneMapper
+from geoorbit_ros.lanes.live_mapper import LiveMapper
 from geoorbit_ros.lanes.parameters import LaneParameters
 from geoorbit_ros.nodes.base import GeoOrbitNode
 from geoorbit_ros.nodes.byte_topic import subscribe_payloads
@@ -38,6 +38,7 @@ class LaneGeometryParameters:
     smoothing: float
     angle: float
     width_scale: float
+    state_file: str
     publish_tentative: bool
     frame_id: str
     reliability: str
@@ -70,11 +71,14 @@ class LaneGeometryNode(GeoOrbitNode[LaneGeometryParameters]):
         self.theta = self.p.theta
         verifier = Verifier(public_key(self.p.lane_parameters_key), self.p.federation)
         self._inbox = ThetaInbox(self.camera_id, verifier)
-        self._restart()
+        file = Path(self.p.state_file) if self.p.state_file else None
+        self._mapper = LiveMapper(
+            self.p.estimator, self.theta, self.p.update_period_s, file, self.diagnostics.warn
+        )
         self._lanes = LanePublisher(
             self, self.p.frame_id, self.p.estimator, tentative=self.p.publish_tentative
         )
-        TableStream(self, "tracks", TRACK_DTYPE, self.p, self._on_frame, self._restart)
+        TableStream(self, "tracks", TRACK_DTYPE, self.p, self._on_frame, self._mapper.restart)
         self.create_subscription(NavSatFix, "datum", self._on_datum, LATCHED)
         subscribe_payloads(self, "lane_parameters", LATCHED, self._on_theta)
         self.create_service(Trigger, "~/update", self._on_update)
@@ -97,13 +101,9 @@ class LaneGeometryNode(GeoOrbitNode[LaneGeometryParameters]):
             "datum": "known" if self.datum else "not received yet",
         }
 
-    def _restart(self) -> None:
-        estimator = make_estimator(self.p.estimator)
-        self._mapper = LaneMapper(estimator, self.theta, self.p.update_period_s)
-
     def _on_frame(self, stamp_ns: int, rows: NDArray[np.void]) -> None:
         self.frames += 1
-        lane_map = self._mapper.add(stamp_ns, rows)
+        lane_map = self._mapper.add(stamp_ns, rows, self.datum)
         if lane_map is not None:
             self._publish(lane_map)
 
