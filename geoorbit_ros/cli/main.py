@@ -18,6 +18,7 @@ from geoorbit_ros.cli import bag, camera, database, scene, twin
 from geoorbit_ros.cli import map as road_map
 from geoorbit_ros.cli.demo import demo
 from geoorbit_ros.cli.detect import detect
+from geoorbit_ros.cli.evaluate import evaluate
 from geoorbit_ros.cli.export import export
 from geoorbit_ros.cli.lanes import lanes
 from geoorbit_ros.cli.process import process
@@ -79,6 +80,7 @@ for _name, _command in (
     ("score", score),
     ("report", report),
     ("train", train),
+    ("evaluate", evaluate),
     ("export", export),
     ("up", up),
     ("status", status),

@@ -22,6 +22,7 @@ from geoorbit_ros.learning.parameter_search import (
     STAY,
     SearchResult,
 )
+from geoorbit_ros.learning.recordings import recording_task
 from geoorbit_ros.learning.workers import Progress, quiet, spread, watched
 from geoorbit_ros.storage.atomic import atomic_output
 
@@ -65,11 +66,30 @@ def fleet_cameras(
     made = spread(partial(_make, fleet), missing, workers)
     for _ in watched(made, len(missing), "simulating cameras", progress):
         pass
+    found = [(camera_id, split, path) for camera_id, (_, split, path) in named.items()]
+    found += _recordings(fleet, folder, progress)
     cameras = []
-    for camera_id, (_, split, path) in named.items():
+    for camera_id, split, path in found:
         task = load_task(path)
         cameras.append(FleetCamera(camera_id, split, path, task.features, task.surveyed))
     return cameras
+
+
+def _recordings(fleet: Fleet, folder: Path, progress: Progress) -> list[tuple[str, Split, Path]]:
+    """The real cameras; none where the environment does not say where they are."""
+    root = fleet.recordings_folder()
+    if root is None:
+        return []
+    found: list[tuple[str, Split, Path]] = []
+    for k, recording in enumerate(fleet.recordings):
+        progress("reading recordings", k / len(fleet.recordings))
+        text = recording.model_dump_json()
+        digest = hashlib.sha256(text.encode()).hexdigest()[:8]
+        path = folder / f"{recording.camera_id}-{digest}.npz"
+        if not path.exists():
+            save_task(recording_task(recording, root), path)
+        found.append((recording.camera_id, recording.split, path))
+    return found
 
 
 def best_parameters(

@@ -14,6 +14,9 @@ from geoorbit_ros.learning.parameter_space import DEFAULT_UNIT
 Array = NDArray[np.float64]
 
 POPULATION, GENERATIONS = 16, 4
+NOTHING_FOUND = 50.0
+"""Cost of theta with which no lane is found, above any other's: saying nothing is no way to err
+less, though it often costs less than saying something wrong."""
 STAY = 0.3
 """Price of leaving the defaults, in ln(L_total) per squared length in the unit cube."""
 LOSS_FLOOR = 1.0
@@ -58,7 +61,10 @@ def search_theta(
 
     def cost(theta: Array) -> float:
         gone = float(np.sum((theta - origin) ** 2))
-        return float(np.log(objective.total(theta) + LOSS_FLOOR)) + stay * gone
+        losses = objective.losses(theta)
+        if losses.detected == 0:
+            return NOTHING_FOUND + stay * gone
+        return float(np.log(losses.total + LOSS_FLOOR)) + stay * gone
 
     found = differential_evolution(
         cost,

@@ -46,6 +46,7 @@ class LaneLosses:
         center: Sum of triplet losses, squared lane spacings.
         lane_num: Difference in the number of lanes.
         total: Their weighted sum.
+        detected: Lanes in the map, for those who must not take an empty one for a good one.
     """
 
     consistency: float
@@ -53,6 +54,7 @@ class LaneLosses:
     center: float
     lane_num: float
     total: float
+    detected: int
 
 
 def lane_losses(
@@ -77,17 +79,9 @@ def lane_losses(
     pairs = pair_lanes(detected, reference)
     chosen = weights or LossWeights()
     terms = (
-        consistency_loss(pairs),
+        float(np.mean(pairs.frechet_m)),
         width_loss(pairs),
         center_loss(pairs, embedding),
         lane_number_loss(len(detected), len(reference), tolerated),
     )
-    return LaneLosses(*terms, total=float(np.dot(terms, astuple(chosen))))
-
-
-def consistency_loss(pairs: LanePairs) -> float:
-    """L_consistency: the mean of the lanes' Fréchet distances (`frechet`), metres.
-
-    With an empty map each lane is off by the reference's extent.
-    """
-    return pairs.extent_m if pairs.is_empty else float(np.mean(pairs.frechet_m))
+    return LaneLosses(*terms, float(np.dot(terms, astuple(chosen))), len(detected))

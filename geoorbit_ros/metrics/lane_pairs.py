@@ -24,10 +24,9 @@ class LanePairs:
     Attributes:
         reference: (R, `SAMPLES`, 2) reference centrelines c, metres in the map frame.
         reference_width_m: (R,) their widths.
-        detected: (R, `SAMPLES`, 2) counterparts s; NaN when the map is empty.
-        detected_width_m: (R,) their widths; NaN when the map is empty.
-        frechet_m: (R,) Fréchet distance of each pair; NaN when the map is empty.
-        extent_m: Diameter of the reference: the longest distance between two of its points.
+        detected: (R, `SAMPLES`, 2) counterparts s.
+        detected_width_m: (R,) their widths.
+        frechet_m: (R,) Fréchet distance of each pair, metres.
         detected_count: Lanes in the map.
     """
 
@@ -36,13 +35,6 @@ class LanePairs:
     detected: NDArray[np.float64]
     detected_width_m: NDArray[np.float64]
     frechet_m: NDArray[np.float64]
-    extent_m: float
-    detected_count: int
-
-    @property
-    def is_empty(self) -> bool:
-        """Whether nothing was detected."""
-        return self.detected_count == 0
 
 
 def pair_lanes(detected: Sequence[Lane], reference: Sequence[Lane]) -> LanePairs:
@@ -50,8 +42,9 @@ def pair_lanes(detected: Sequence[Lane], reference: Sequence[Lane]) -> LanePairs
 
     Reference lanes that are left over are compared with the detected lane nearest to them: a map
     gains nothing by leaving out a lane that it would draw badly. Detected lanes that are left over
-    count in the lane number loss. Curves are directed: a lane that points the wrong way is as far
-    from its reference as the reference is long.
+    count in the lane number loss. Where the map is empty, the counterpart has neither length nor
+    width: the point half-way along the reference. Curves are directed: a lane that points the wrong
+    way is as far from its reference as the reference is long.
 
     Raises:
         TableError: No reference lane, or a detected lane that is not finite.
@@ -63,20 +56,14 @@ def pair_lanes(detected: Sequence[Lane], reference: Sequence[Lane]) -> LanePairs
     width = np.array([lane.width_m for lane in detected])
     if not np.isfinite(width).all():
         raise TableError("detected lanes", "a width that is not finite", "metres")
-    points = np.concatenate(lines)
-    gap = points[:, None, :] - points[None, :, :]
-    extent = float(np.sqrt(np.max(np.sum(gap**2, axis=2))))
     reference_width = np.array([lane.width_m for lane in reference])
     if not found:
-        nothing = np.full(len(lines), np.nan)
+        middle = [np.repeat(line[SAMPLES // 2][None, :], SAMPLES, axis=0) for line in lines]
+        reach = np.array(
+            [frechet_matrix([a], [b])[0, 0] for a, b in zip(lines, middle, strict=True)]
+        )
         return LanePairs(
-            np.array(lines),
-            reference_width,
-            np.full((len(lines), SAMPLES, 2), np.nan),
-            nothing,
-            nothing,
-            extent,
-            0,
+            np.array(lines), reference_width, np.array(middle), np.zeros(len(lines)), reach
         )
     distance = frechet_matrix(lines, found)
     partner = np.argmin(distance, axis=1)
@@ -88,6 +75,4 @@ def pair_lanes(detected: Sequence[Lane], reference: Sequence[Lane]) -> LanePairs
         np.array(found)[partner],
         width[partner],
         distance[np.arange(len(lines)), partner],
-        extent,
-        len(found),
     )

@@ -26,13 +26,11 @@ def center_loss(pairs: LanePairs, embedding: LaneEmbedding) -> float:
     E are the triplets (c, s, c'): each reference lane c, its detected counterpart s, and as the
     negative c' the hardest real one, the other reference lane whose embedding is nearest to that of
     c. A camera with one reference lane only has no other: the lane's own copy one lane width to its
-    left stands for it. With an empty map, s is the reference moved aside by the reference's extent.
+    left stands for it.
     """
     axes = _road_frame(pairs.reference)
     reference = axes(pairs.reference)
     detected = axes(pairs.detected)
-    if pairs.is_empty:
-        detected = reference + np.array([0.0, pairs.extent_m])
     truth, found = embedding.embed(reference), embedding.embed(detected)
     if len(reference) > 1:
         between = np.sum((truth[:, None, :] - truth[None, :, :]) ** 2, axis=2)

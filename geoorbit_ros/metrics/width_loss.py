@@ -11,8 +11,5 @@ def width_loss(pairs: LanePairs) -> float:
     """L_geometry = sum over M of |s_w - c_w|^2, in square metres.
 
     M are the reference lanes, s_w the width of the detected counterpart, c_w the reference width.
-    With an empty map each width is off by the reference's extent.
     """
-    if pairs.is_empty:
-        return float(len(pairs.reference) * pairs.extent_m**2)
     return float(np.sum((pairs.detected_width_m - pairs.reference_width_m) ** 2))

@@ -1,0 +1,155 @@
+"""All models on all cameras: the paper's losses and honest errors, by model, split and seed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.core.errors import InputFileError
+from geoorbit_ros.learning.camera_task import load_task, required
+from geoorbit_ros.learning.fleet import Split
+from geoorbit_ros.learning.fleet_cameras import FleetCamera, best_parameters
+from geoorbit_ros.learning.lane_embedding import shipped_embedding
+from geoorbit_ros.learning.model_file import load_model
+from geoorbit_ros.learning.objective import DECIMALS, detect_lanes
+from geoorbit_ros.learning.parameter_space import DEFAULT_UNIT
+from geoorbit_ros.learning.study import CAMERAS, Study
+from geoorbit_ros.learning.training import Mode
+from geoorbit_ros.learning.workers import Progress, quiet, spread, watched
+from geoorbit_ros.metrics.composite import LaneLosses, lane_losses
+from geoorbit_ros.metrics.score import LaneScore, score_lanes
+
+Array = NDArray[np.float64]
+
+BASELINE, COMMON, META, FEDMETA, SEARCHED = "Baseline", "One for all", "Meta", "FedMeta", "Searched"
+_MODE: dict[str, Mode] = {META: "central", FEDMETA: "federated"}
+
+
+@dataclass(frozen=True, slots=True)
+class CameraResult:
+    """One camera with one theta, judged by its true lanes.
+
+    Attributes:
+        losses: The paper's.
+        score: Honest errors; None where the lanes were not surveyed.
+        count_right: Whether that is the right number (`metrics.lane_number`).
+    """
+
+    losses: LaneLosses
+    score: LaneScore | None
+    count_right: bool
+
+
+@dataclass(frozen=True, slots=True)
+class ModelResult:
+    """One model on the cameras of a split.
+
+    Attributes:
+        model: Its name in tables.
+        seed: Of its training; 0 where nothing is random.
+        split: Which cameras.
+        cameras: Results by camera id.
+    """
+
+    model: str
+    seed: int
+    split: Split
+    cameras: dict[str, CameraResult]
+
+    def mean(self, term: str) -> float:
+        """Mean of one of the paper's losses over the cameras."""
+        return float(np.mean([getattr(r.losses, term) for r in self.cameras.values()]))
+
+    def median_total(self) -> float:
+        """Median of L_total over the cameras."""
+        return float(np.median([r.losses.total for r in self.cameras.values()]))
+
+
+def evaluate(study: Study, estimator: str, progress: Progress = quiet) -> list[ModelResult]:
+    """Judge the fixed parameters and every trained model of an estimator.
+
+    * Baseline: the default parameters on every camera.
+    * One for all: the mean of the seen cameras' theta*, on every camera: what can be had without
+      looking at the scene.
+    * Meta, FedMeta: the trained models, one row per seed.
+    * Searched: theta* of each seen camera, which no camera without a reference can have.
+
+    Raises:
+        InputFileError: Nothing was trained for this estimator.
+    """
+    cameras = study.cameras(progress)
+    seen = [camera for camera in cameras if camera.split == "seen"]
+    best = best_parameters(
+        seen, estimator, study.folder / CAMERAS, study.workers, progress=progress
+    )
+    common = np.mean([best[camera.camera_id].theta for camera in seen], axis=0)
+    features = np.array([camera.features for camera in cameras])
+    plans: list[tuple[str, int, Array]] = [
+        (BASELINE, 0, np.tile(DEFAULT_UNIT, (len(cameras), 1))),
+        (COMMON, 0, np.tile(common, (len(cameras), 1))),
+    ]
+    for name, mode in _MODE.items():
+        for path in study.models(estimator, mode):
+            seed = int(path.stem.rpartition("-")[2])
+            plans.append((name, seed, load_model(path).predict_unit(features)))
+    if len(plans) == 2:
+        raise InputFileError(str(study.folder / estimator), "no model", "geoorbit train first")
+    searched = np.array([best[camera.camera_id].theta for camera in seen])
+    jobs = [
+        (camera, theta)
+        for _, _, thetas in plans
+        for camera, theta in zip(cameras, thetas, strict=True)
+    ]
+    jobs += list(zip(seen, searched, strict=True))
+    results = iter(_judge_all(jobs, estimator, study.workers, progress))
+    rows = []
+    for name, seed, _ in plans:
+        found = {camera.camera_id: next(results) for camera in cameras}
+        rows += [_row(name, seed, split, cameras, found) for split in ("seen", "unseen")]
+    found = {camera.camera_id: next(results) for camera in seen}
+    return [*rows, _row(SEARCHED, 0, "seen", cameras, found)]
+
+
+def _row(
+    model: str,
+    seed: int,
+    split: Split,
+    cameras: Sequence[FleetCamera],
+    found: dict[str, CameraResult],
+) -> ModelResult:
+    chosen = [camera.camera_id for camera in cameras if camera.split == split]
+    return ModelResult(model, seed, split, {name: found[name] for name in chosen})
+
+
+_Job = tuple[FleetCamera, str, tuple[float, ...]]
+
+
+def _judge_all(
+    asked: Sequence[tuple[FleetCamera, Array]], estimator: str, workers: int, progress: Progress
+) -> list[CameraResult]:
+    """Results in the order of `asked`; equal questions are answered once."""
+    keys = [
+        (camera.camera_id, tuple(np.round(theta, DECIMALS).tolist())) for camera, theta in asked
+    ]
+    jobs: dict[tuple[str, tuple[float, ...]], _Job] = {
+        key: (camera, estimator, key[1]) for key, (camera, _) in zip(keys, asked, strict=True)
+    }
+    answers = watched(
+        spread(judge, list(jobs.values()), workers), len(jobs), f"judging ({estimator})", progress
+    )
+    known = dict(zip(jobs, answers, strict=True))
+    return [known[key] for key in keys]
+
+
+def judge(job: _Job) -> CameraResult:
+    """One camera with one theta; (camera, estimator, theta)."""
+    camera, estimator, theta = job
+    task = load_task(camera.path)
+    lanes = detect_lanes(task, estimator, theta)
+    asked, tolerated = required(task.truth)
+    losses = lane_losses(lanes, asked, shipped_embedding(), tolerated=tolerated)
+    score = score_lanes(lanes, task.truth) if task.surveyed else None
+    return CameraResult(losses, score, losses.lane_num == 0.0)
