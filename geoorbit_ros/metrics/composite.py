@@ -10,7 +10,7 @@ import numpy as np
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.metrics.lane_number import lane_number_loss
-from geoorbit_ros.metrics.lane_pairs import LanePairs, pair_lanes
+from geoorbit_ros.metrics.lane_pairs import pair_lanes
 from geoorbit_ros.metrics.triplet import LaneEmbedding, center_loss
 from geoorbit_ros.metrics.width_loss import width_loss
 
