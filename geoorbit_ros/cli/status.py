@@ -135,21 +135,24 @@ def _tables(cameras: Sequence[Row], services: Sequence[Row]) -> RenderableType:
 
     if not cameras and not services:
         return Text("No node heard yet: is the fleet up, on this ROS domain?")
-    titles = "|".join(f">{column.title}" for column in COLUMNS)
-    table = make_table("Cameras", f" |camera|>nodes|{titles}|problems")
+    columns = [column for column in COLUMNS if column.title]
+    titles = "|".join(f">{column.title}" for column in columns)
+    table = make_table("Cameras", f" |camera|>nodes|{titles}")
     for row in cameras:
-        values = [row.values.get(column.key, "–") for column in COLUMNS]
-        mark = "[green]●[/green]" if row.healthy else "[red]●[/red]"
-        table.add_row(mark, row.name, str(row.nodes), *values, "; ".join(row.problems))
-    table.columns[-1].no_wrap = False
+        values = [row.values.get(column.key, "–") for column in columns]
+        table.add_row(_mark(row), row.name, str(row.nodes), *values)
     parts: list[RenderableType] = [table] if cameras else []
     if services:
-        other = make_table("Services", " |node|values|problems")
+        other = make_table("Services", " |node|values")
         for row in services:
-            mark = "[green]●[/green]" if row.healthy else "[red]●[/red]"
             values = [f"{key} {value}" for key, value in row.values.items() if value]
-            other.add_row(mark, row.name, ", ".join(values), "; ".join(row.problems))
-        for column in other.columns[2:]:
-            column.no_wrap, column.overflow = False, "fold"
+            other.add_row(_mark(row), row.name, ", ".join(values))
+        other.columns[-1].no_wrap, other.columns[-1].overflow = False, "fold"
         parts.append(other)
+    for row in [*cameras, *services]:
+        parts += [Text(f" {row.name}: {problem}", style="red") for problem in row.problems]
     return Group(*parts)
+
+
+def _mark(row: Row) -> str:
+    return "[green]●[/green]" if row.healthy else "[red]●[/red]"

@@ -57,8 +57,11 @@ def up(
     if dry_run:
         _print_plan(content, plans, folder)
         return
+    chosen = {plan.name for plan in plans}
     with status("looking at the cameras"):
-        content = ask_sources(content, base, folder)
+        content = ask_sources(content, base, folder, chosen)
+    if content.recorder:
+        (folder / content.recorder.folder).mkdir(parents=True, exist_ok=True)
     plans = select(plan_fleet(content, base, folder), only or [])
     began = time.monotonic()
 

@@ -44,7 +44,7 @@ class Column:
 
     Attributes:
         key: In JSON.
-        title: In the table.
+        title: In the table; empty: in JSON only.
         sources: Node and value to take it from; the first that is there counts.
         summed: Whether all of them are added up instead.
     """
@@ -57,26 +57,27 @@ class Column:
 
 _DATA_PATH = ("lane_geometry", "homography", "tracker", "detector", "camera", "bag_player")
 
+_LOSSES = ("dropped", "missing", "refused")
+
 COLUMNS = (
     Column(
         "rate_hz",
-        "frames/s",
+        "fps",
         (("homography", "rate_hz"), ("tracker", "rate_hz"), ("camera", "rate_hz")),
     ),
     Column(
         "latency_ms",
-        "latency ms",
+        "p99 ms",
         (("homography", "age_ms_p99"), ("homography", "latency_ms_p99")),
     ),
-    Column("dropped", "dropped", tuple((n, "dropped") for n in _DATA_PATH), summed=True),
-    Column("missing", "missing", tuple((n, "missing") for n in _DATA_PATH), summed=True),
-    Column("refused", "refused", tuple((n, "refused") for n in _DATA_PATH), summed=True),
+    Column("lost", "lost", tuple((n, key) for n in _DATA_PATH for key in _LOSSES), summed=True),
+    *(Column(key, "", tuple((n, key) for n in _DATA_PATH), summed=True) for key in _LOSSES),
     Column("vehicles", "vehicles", (("homography", "vehicles"), ("tracker", "tracks"))),
     Column("lanes_confirmed", "lanes", (("lane_geometry", "lanes_confirmed"),)),
-    Column("lanes_tentative", "tentative", (("lane_geometry", "lanes_tentative"),)),
+    Column("lanes_tentative", "tent.", (("lane_geometry", "lanes_tentative"),)),
     Column(
         "parameters",
-        "parameters",
+        "θ",
         (("lane_geometry", "parameter_version"), ("meta_client", "parameter_version")),
     ),
     Column("round", "round", (("meta_client", "round"),)),
@@ -135,8 +136,8 @@ def _camera(name: str, nodes: Mapping[str, NodeReport], wanted: Sequence[str]) -
         found = [nodes[n].values.get(key, "") for n, key in column.sources if n in nodes]
         found = [value for value in found if value]
         if found:
-            total = sum(float(value) for value in found) if column.summed else None
-            values[column.key] = found[0] if total is None else f"{total:g}"
+            total = f"{sum(map(float, found)):g}"
+            values[column.key] = total if column.summed else found[0]
     return Row(name, bool(nodes) and not problems, len(nodes), tuple(problems), values)
 
 

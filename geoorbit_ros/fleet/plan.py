@@ -136,7 +136,7 @@ def camera_nodes(camera: Camera, fleet: Fleet, base: Path, output: Path) -> Iter
         wiring["detector"] = {"model": model}
         wiring["camera"] = {"source": image_source(camera, base)}
         if camera.kind != "stream":
-            wiring["camera"] |= {"loop": True}
+            wiring["camera"] |= {"loop": True, "start_time_s": 0.0}
     for executable, values in wiring.items():
         merged = values | camera.parameters.get(executable, {})
         yield NodePlan(executable, camera.id, merged)

@@ -6,7 +6,7 @@ terminal and not a process that is restarted for ever.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Container
 from pathlib import Path
 
 from geoorbit_ros.fleet.fleet_file import Camera, Fleet
@@ -18,24 +18,21 @@ from geoorbit_ros.storage.frames.open_source import open_frame_source
 from geoorbit_ros.storage.frames.source import SourceOptions
 
 
-def ask_sources(
-    fleet: Fleet, base: Path, output: Path, on_camera: Callable[[str], None] = lambda _: None
-) -> Fleet:
-    """The fleet with every enabled camera's image size; writes the calibration of made-up cameras.
+def ask_sources(fleet: Fleet, base: Path, output: Path, chosen: Container[str]) -> Fleet:
+    """The fleet with the image sizes of chosen cameras; writes calibrations of made-up ones.
 
     Args:
         fleet: The fleet.
         base: Folder that relative paths in the fleet file start from.
         output: Made-up cameras' control points go to `calibration/<camera>.csv` in it.
-        on_camera: Told the id of each camera before its source is opened.
+        chosen: Ids of the cameras to ask.
 
     Raises:
         GeoOrbitError: A video, folder or scene that can't be opened.
     """
     cameras = []
     for camera in fleet.cameras:
-        if camera.enabled and camera.kind in ("scene", "file"):
-            on_camera(camera.id)
+        if camera.id in chosen and camera.kind in ("scene", "file"):
             size = (_ask_scene if camera.kind == "scene" else _ask_file)(camera, base, output)
             cameras.append(camera.model_copy(update={"image_size": size}))
         else:

@@ -48,6 +48,9 @@ class Timing:
     kill_s: float = 4.5
 
 
+LAST_LINE_BYTES = 2000
+
+
 class State(Enum):
     """Of a process."""
 
@@ -215,9 +218,16 @@ class Supervisor:
         member.process, member.state, member.last_end = None, State.WAITING, reason
         member.restarts += 1
         member._due_s = now + member._back_off_s
-        hint = "" if status is None or status < 0 else f"; see logs/{member.plan.name}.log"
+        hint = "" if status is None or status < 0 else f": {self._last_line(member.plan.name)}"
         self._on_event(member.plan.name, f"{reason}{hint}; again in {member._back_off_s:g} s")
         member._back_off_s = min(2.0 * member._back_off_s, self._timing.last_back_off_s)
+
+    def _last_line(self, name: str) -> str:
+        """The last thing that a process said."""
+        with (self._output / "logs" / f"{name}.log").open("rb") as log:
+            log.seek(max(log.seek(0, os.SEEK_END) - LAST_LINE_BYTES, 0))
+            lines = log.read().decode(errors="replace").split("\n")
+        return next((line.strip() for line in reversed(lines) if line.strip()), "no word")
 
     def _close_pipe(self, member: Member) -> None:
         if member._pipe >= 0:

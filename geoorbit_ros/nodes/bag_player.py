@@ -23,7 +23,7 @@ from geoorbit_ros.nodes.latched import LATCHED
 from geoorbit_ros.nodes.process import run_node
 from geoorbit_ros.nodes.table_stream import stream_qos
 from geoorbit_ros.storage.bag_reader import bag_messages, describe_bag
-from geoorbit_ros.storage.looping import endless
+from geoorbit_ros.storage.looping import begun_at, endless
 from geoorbit_ros.storage.playback import Playback, rename_camera
 
 TICK_S = 0.005
@@ -40,6 +40,7 @@ class BagPlayerParameters:
     topics: str
     rate: float
     loop: bool
+    stamp_now: bool
     start_offset_s: float
     max_gap_s: float
     camera_id: str
@@ -87,7 +88,7 @@ class BagPlayerNode(GeoOrbitNode[BagPlayerParameters]):
         self._finished_topic = self.create_publisher(UInt64, "~/finished", LATCHED)
         self.create_service(SetBool, "~/pause", self._on_pause)
         self._waiting, self._deadline_s = True, time.monotonic() + p.wait_timeout_s
-        self._begin()
+        self._begin(p)
         if self._playback.finished:
             raise InputFileError(p.bag, "no message to play", "a bag with messages")
         self.create_timer(TICK_S, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -96,12 +97,12 @@ class BagPlayerNode(GeoOrbitNode[BagPlayerParameters]):
         """Where in the recording it is."""
         return {"bag_time_s": self._playback.time_ns / 1e9, "paused": self.paused}
 
-    def _begin(self) -> None:
-        p = self.p
+    def _begin(self, p: BagPlayerParameters) -> None:
         read = partial(bag_messages, p.bag, tuple(self.topics))
-        self._playback = Playback(
-            endless(read) if p.loop else read(), p.rate, p.max_gap_s, p.start_offset_s
-        )
+        messages = endless(read) if p.loop else read()
+        if p.stamp_now:
+            messages = begun_at(messages, time.time_ns())
+        self._playback = Playback(messages, p.rate, p.max_gap_s, p.start_offset_s)
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self.paused = request.data

@@ -70,7 +70,7 @@ class CameraNode(GeoOrbitNode[CameraParameters]):
         self.finished = self._started = False
         options = SourceOptions(
             fps=p.fps or None,
-            start_ns=round(1e9 * p.start_time_s),
+            start_ns=round(1e9 * p.start_time_s) or time.time_ns(),
             open_timeout_s=p.open_timeout_s,
             stall_timeout_s=p.stall_timeout_s,
             give_up_s=None,

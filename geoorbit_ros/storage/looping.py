@@ -1,4 +1,4 @@
-"""A recording that begins again at its end, with stamps that go on.
+"""A recording at another time: again and again with stamps that go on, or as if it were live.
 
 Time that jumps back makes every reader start anew: filters, transforms, lane maps. So each round
 is moved behind the one before, in recording time and in the messages' own stamps.
@@ -43,6 +43,14 @@ def endless(read: Callable[[], Iterable[BagMessage]]) -> Iterator[BagMessage]:
             length_ns = last_ns - first_ns
             period_ns = length_ns + max(length_ns // max(len(times) - 1, 1), 1)
         shift_ns += period_ns
+
+
+def begun_at(messages: Iterable[BagMessage], first_ns: int) -> Iterator[BagMessage]:
+    """The messages, moved in time so that the first was recorded at `first_ns`."""
+    shift_ns: int | None = None
+    for message in messages:
+        shift_ns = first_ns - message.time_ns if shift_ns is None else shift_ns
+        yield _moved(message, shift_ns)
 
 
 def _moved(message: BagMessage, shift_ns: int) -> BagMessage:

@@ -129,6 +129,19 @@ def test_a_loop_begins_again_with_stamps_that_go_on(
     assert not node.done
 
 
+def test_a_recording_can_be_played_as_if_it_were_live(
+    nodes: Composition, camera: MadeUpCamera
+) -> None:
+    probe, count = Probe(nodes), len(camera.frames)
+    heard = probe.listen_tables("tracks_px", PIXEL_TRACK_DTYPE)
+    before_ns = time.time_ns()
+    start(nodes, camera, stamp_now=True)
+    probe.until(lambda: len(heard) == count, "the recording")
+    stamps = np.array([stamp_ns for stamp_ns, _, _ in heard])
+    assert before_ns <= stamps[0] <= time.time_ns()
+    assert np.array_equal(np.diff(stamps), np.diff(camera.frames.stamp_ns))
+
+
 def test_a_player_that_stays_says_once_that_it_is_done(
     nodes: Composition, camera: MadeUpCamera
 ) -> None:

@@ -1,6 +1,7 @@
 """The camera node: every frame of a recording, the newest of a stream, and no end with either."""
 
 import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +61,15 @@ def test_every_frame_of_a_recording_arrives_with_its_own_time(
     assert [level(message) for message in heard] == pytest.approx(range(0, 240, 20), abs=2)
     assert {message.header.frame_id for message in heard} == {"north_optical_frame"}
     assert {message.format for message in heard} == {"bgr8; jpeg compressed bgr8"}
+
+
+def test_a_recording_can_be_stamped_as_if_it_were_live(nodes: Composition, folder: Path) -> None:
+    probe = Probe(nodes)
+    heard = probe.listen("image/compressed", CompressedImage, KEEP_ALL)
+    before_ns = time.time_ns()
+    start(nodes, folder, start_time_s=0.0)
+    probe.until(lambda: bool(heard), "an image")
+    assert before_ns <= stamp_ns(heard[0]) <= time.time_ns()
 
 
 def test_a_loop_goes_on_in_time_and_max_fps_thins_it(nodes: Composition, folder: Path) -> None:

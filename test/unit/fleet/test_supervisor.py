@@ -23,7 +23,7 @@ BEHAVIOURS = {
     "steady": "while True: beat(); time.sleep(0.02)",
     "hangs": "beat(); time.sleep(60)",
     "mute": "time.sleep(60)",
-    "fails": "beat(); print('no such camera'); sys.exit(2)",
+    "fails": "beat(); print('no such camera', flush=True); sys.exit(2)",
     "stubborn": "signal.signal(2, signal.SIG_IGN); signal.signal(15, signal.SIG_IGN)\n"
     "while True: beat(); time.sleep(0.02)",
 }
@@ -113,7 +113,7 @@ def test_a_process_that_keeps_failing_is_tried_ever_more_rarely(make: Make, tmp_
     run_until(supervisor, lambda: supervisor.members["fails"].restarts == 4)
     pauses = [text.rpartition("again in ")[2] for _, text in events if "again in" in text]
     assert pauses == ["0.05 s", "0.1 s", "0.2 s", "0.2 s"]
-    assert "exit 2; see logs/fails.log" in events[-1][1]
+    assert "exit 2: no such camera; again" in events[-1][1]
     assert (tmp_path / "logs" / "fails.log").read_text().count("no such camera") == 4
 
 
