@@ -19,7 +19,10 @@ from geoorbit_ros.scenes.render.solids import BUS, TRUCK, Solid, vehicle_solid
 NEAR_M = 1.0
 """Vehicles with a corner nearer than this are not drawn, nor have they a box."""
 _SHIFT = 4
-_REMEMBERED = 2000
+_REMEMBERED = 4000
+_HEADING_STEP_RAD = 0.02
+_SMALLEST_PX = 0.8
+"""Faces of a smaller radius are left out."""
 _BOUNCE = 0.45
 """Light from the ground on a face that looks down, as a share of the sky's on one that looks up."""
 
@@ -30,21 +33,25 @@ class Body:
 
     Attributes:
         solid: Its shape.
-        index: Its row in the view.
+        vehicle: Its number.
+        coco_class: Its class.
         heading_rad: Counter-clockwise from east.
         xy: (2,) middle of its footprint.
-        world: (V, 3) corners in the map.
-        pixel: (V, 2) corners in the image.
-        depth_m: Mean depth of its corners.
+        outline_m: (H, 3) corners of its convex hull in the map.
+        outline: (H, 2) the same in the image.
+        box: (4,) left, top, right, bottom of the outline.
+        depth_m: Mean depth of the outline.
         camera: (3,) the camera's place in the vehicle's own axes.
     """
 
     solid: Solid
-    index: int
+    vehicle: int
+    coco_class: int
     heading_rad: float
     xy: NDArray[np.float64]
-    world: NDArray[np.float64]
-    pixel: NDArray[np.float64]
+    outline_m: NDArray[np.float64]
+    outline: NDArray[np.float64]
+    box: NDArray[np.float64]
     depth_m: float
     camera: NDArray[np.float64]
 
@@ -62,104 +69,145 @@ class Painter:
         self._camera = camera
         self._light = light
         self._seed = seed
-        self._colours: OrderedDict[tuple[int, int], NDArray[np.float64]] = OrderedDict()
+        self._colours: OrderedDict[tuple[object, ...], NDArray[np.float64]] = OrderedDict()
 
     def place(self, view: View) -> list[Body | None]:
         """The vehicles as bodies; None for one that reaches behind the camera."""
-        return [self._body(view, k) for k in range(len(view.vehicle))]
-
-    def _body(self, view: View, k: int) -> Body | None:
-        length, width, height = (round(float(v), 4) for v in view.size[k])
-        solid = vehicle_solid(int(view.coco_class[k]), length, width, height)
-        cos, sin = np.cos(view.heading[k]), np.sin(view.heading[k])
-        turn = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
-        at = np.append(view.xy[k], 0.0)
-        world = solid.corners @ turn + at
+        if not len(view.vehicle):
+            return []
+        solids = [
+            vehicle_solid(coco_class, *(round(value, 4) for value in size))
+            for coco_class, size in zip(view.coco_class.tolist(), view.size.tolist(), strict=True)
+        ]
+        counts = np.array([len(solid.hull) for solid in solids])
+        local = np.concatenate([solid.corners[solid.hull] for solid in solids])
+        cos, sin = np.cos(view.heading), np.sin(view.heading)
+        world = _turned(local, np.repeat(cos, counts), np.repeat(sin, counts))
+        world[:, :2] += np.repeat(view.xy, counts, axis=0)
         pixel, depth = self._camera.project(world)
-        if depth.min() <= NEAR_M:
-            return None
-        camera = turn @ (self._camera.centre_m - at)
-        heading = float(view.heading[k])
-        return Body(solid, k, heading, view.xy[k], world, pixel, float(depth.mean()), camera)
+        start = np.append(0, np.cumsum(counts))
+        boxes = np.column_stack(
+            [np.minimum.reduceat(pixel, start[:-1]), np.maximum.reduceat(pixel, start[:-1])]
+        )
+        nearest = np.minimum.reduceat(depth, start[:-1])
+        away = np.tile(self._camera.centre_m, (len(solids), 1))
+        away[:, :2] -= view.xy
+        camera = _turned(away, cos, -sin)
+        return [
+            None
+            if nearest[k] <= NEAR_M
+            else Body(
+                solid,
+                int(view.vehicle[k]),
+                int(view.coco_class[k]),
+                float(view.heading[k]),
+                view.xy[k],
+                world[start[k] : start[k + 1]],
+                pixel[start[k] : start[k + 1]],
+                boxes[k],
+                float(depth[start[k] : start[k + 1]].mean()),
+                camera[k],
+            )
+            for k, solid in enumerate(solids)
+        ]
 
-    def paint(self, picture: NDArray[np.uint8], body: Body, view: View) -> None:
+    def paint(self, picture: NDArray[np.uint8], body: Body) -> None:
         """Draw a vehicle over a picture (H, W, 3)."""
         height, width = picture.shape[:2]
-        outline = body.pixel[body.solid.hull]
-        low = np.maximum(np.floor(outline.min(axis=0)).astype(int) - 1, 0)
-        high = np.minimum(np.ceil(outline.max(axis=0)).astype(int) + 1, [width, height])
-        if np.any(high <= low):
+        left, top = max(int(body.box[0]) - 2, 0), max(int(body.box[1]) - 2, 0)
+        right, bottom = min(int(body.box[2]) + 2, width), min(int(body.box[3]) + 2, height)
+        if right <= left or bottom <= top:
             return
-        area = picture[low[1] : high[1], low[0] : high[0]]
-        samples = _samples(area.shape[0] * area.shape[1])
-        size = area.shape[1], area.shape[0]
+        area = picture[top:bottom, left:right]
+        size = right - left, bottom - top
+        samples = _samples(size[0] * size[1])
         fine_size = size[0] * samples, size[1] * samples
         fine = cv2.resize(area, fine_size, interpolation=cv2.INTER_NEAREST)
-        # Coordinates of pixel centres: a subpixel's middle lies half a subpixel inside.
-        corners = ((body.pixel - low) * samples - 0.5) * (1 << _SHIFT)
-        corners = np.rint(corners).astype(np.int32)
-        colours = self._shaded(body, view).tolist()
         solid = body.solid
-        for face in _seen(body):
+        world = _turned(solid.corners, np.cos(body.heading_rad), np.sin(body.heading_rad))
+        world[:, :2] += body.xy
+        pixel, _ = self._camera.project(world)
+        # Coordinates of pixel centres: a subpixel's middle lies half a subpixel inside.
+        corners = ((pixel - (left, top)) * samples - 0.5) * (1 << _SHIFT)
+        corners = np.rint(corners).astype(np.int32)
+        colours = self._shaded(body).tolist()
+        smallest_m = _SMALLEST_PX * body.depth_m / self._camera.focal_px
+        for face in _seen(body, smallest_m).tolist():
             cv2.fillConvexPoly(fine, corners[solid.faces[face]], colours[face], cv2.LINE_8, _SHIFT)
         area[:] = cv2.resize(fine, size, interpolation=cv2.INTER_AREA)
 
-    def _shaded(self, body: Body, view: View) -> NDArray[np.float64]:
-        """(F, 3) colours of the faces in the light, grey levels."""
-        light, normals = self._light, body.solid.normals
-        cos, sin = np.cos(body.heading_rad), np.sin(body.heading_rad)
-        sun = light.sun_direction
-        towards = np.array([cos * sun[0] + sin * sun[1], cos * sun[1] - sin * sun[0], sun[2]])
-        up = 0.5 * (1.0 + normals[:, 2])
-        sky = (up + _BOUNCE * (1.0 - up))[:, None] * np.array(light.ambient)
-        direct = np.maximum(normals @ towards, 0.0)[:, None] * np.array(light.sun)
-        materials = body.solid.materials
-        table = self._material_colours(
-            int(view.vehicle[body.index]), int(view.coco_class[body.index])
-        )
-        albedo, gloss, glow = table[0][materials], table[1][materials], table[2][materials]
-        facing = np.clip(normals[:, 2], 0.0, 1.0)[:, None]
-        mirrored = np.array(light.horizon) + facing * (
-            np.array(light.zenith) - np.array(light.horizon)
-        )
-        colour = albedo * (sky + direct) + gloss * mirrored + glow
-        clear = np.exp(-body.depth_m / light.haze_m)
-        hazy = clear * np.clip(colour, 0.0, 1.0) + (1.0 - clear) * np.array(light.horizon)
-        return np.asarray(255.0 * hazy)
-
-    def _material_colours(self, vehicle: int, coco_class: int) -> NDArray[np.float64]:
-        key = vehicle, coco_class
-        found = self._colours.get(key)
-        if found is None:
-            large = coco_class in (BUS, TRUCK)
-            found = material_colours(vehicle, large, self._seed, self._light.headlights)
-            self._colours[key] = found
+    def _shaded(self, body: Body) -> NDArray[np.float64]:
+        """(F, 3) colours of the faces in light and haze, grey levels."""
+        # Light changes little with the heading: one shade serves for all within a step.
+        step = round(body.heading_rad / _HEADING_STEP_RAD)
+        key = body.vehicle, body.coco_class, body.solid.size_m, step
+        colour = self._colours.get(key)
+        if colour is None:
+            colour = self._in_light(body, step * _HEADING_STEP_RAD)
+            self._colours[key] = colour
             if len(self._colours) > _REMEMBERED:
                 self._colours.popitem(last=False)
-        return found
+        clear = np.exp(-body.depth_m / self._light.haze_m)
+        return np.asarray(clear * colour + 255.0 * (1.0 - clear) * np.array(self._light.horizon))
+
+    def _in_light(self, body: Body, heading_rad: float) -> NDArray[np.float64]:
+        light, normals = self._light, body.solid.normals
+        sun = _turned(light.sun_direction[None], np.cos(heading_rad), -np.sin(heading_rad))[0]
+        up = 0.5 * (1.0 + normals[:, 2])
+        sky = (up + _BOUNCE * (1.0 - up))[:, None] * np.array(light.ambient)
+        direct = np.maximum(normals @ sun, 0.0)[:, None] * np.array(light.sun)
+        large = body.coco_class in (BUS, TRUCK)
+        table = material_colours(body.vehicle, large, self._seed, light.headlights)
+        albedo, gloss, glow = table[:, body.solid.materials]
+        facing = np.clip(normals[:, 2], 0.0, 1.0)[:, None]
+        horizon, zenith = np.array(light.horizon), np.array(light.zenith)
+        mirrored = horizon + facing * (zenith - horizon)
+        colour = albedo * (sky + direct) + gloss * mirrored + glow
+        return np.asarray(255.0 * np.clip(colour, 0.0, 1.0))
 
 
-def silhouettes(bodies: list[Body | None]) -> Silhouettes:
-    """Outlines of bodies."""
+def silhouettes(bodies: list[Body | None], image_size: tuple[int, int]) -> Silhouettes:
+    """Outlines of bodies; no hull for those outside of the image."""
     hulls: list[NDArray[np.float32] | None] = []
     boxes = np.full((len(bodies), 4), np.nan)
     for k, body in enumerate(bodies):
+        hulls.append(None)
         if body is None:
-            hulls.append(None)
             continue
-        pixel = body.pixel[body.solid.hull]
-        hulls.append(np.asarray(cv2.convexHull(pixel.astype(np.float32))[:, 0], np.float32))
-        boxes[k] = [*pixel.min(axis=0), *pixel.max(axis=0)]
+        boxes[k] = body.box
+        if in_image(body.box, image_size):
+            hulls[k] = np.asarray(cv2.convexHull(body.outline.astype(np.float32))[:, 0], np.float32)
     return Silhouettes(hulls, boxes)
 
 
-def _seen(body: Body) -> NDArray[np.intp]:
-    """Faces that look at the camera, in the order of drawing."""
+def in_image(box: NDArray[np.float64], image_size: tuple[int, int], margin: float = 0.0) -> bool:
+    """Whether a box (4,) reaches into the image, widened by a share of its size on every side."""
+    wide, high = margin * image_size[0], margin * image_size[1]
+    left, top, right, bottom = box.tolist()
+    return bool(
+        right > -wide
+        and bottom > -high
+        and left < image_size[0] + wide
+        and top < image_size[1] + high
+    )
+
+
+def _turned(
+    points: NDArray[np.float64],
+    cos: NDArray[np.float64] | float,
+    sin: NDArray[np.float64] | float,
+) -> NDArray[np.float64]:
+    """Points (N, 3) turned about the vertical."""
+    x, y = points[:, 0], points[:, 1]
+    return np.column_stack([cos * x - sin * y, sin * x + cos * y, points[:, 2]])
+
+
+def _seen(body: Body, smallest_m: float) -> NDArray[np.intp]:
+    """Faces that look at the camera and are large enough to be seen, in the order of drawing."""
     solid = body.solid
-    towards = np.einsum("fk,fk->f", solid.normals, body.camera - solid.centres)
-    faces = np.flatnonzero(towards > 0.0)
-    distance = np.abs(solid.middles[faces] - body.camera[0])
-    return faces[np.lexsort((-distance, solid.tiers[faces]))]
+    order = solid.order_ahead if body.camera[0] > solid.pivot_m else solid.order_behind
+    seen = (solid.normals @ body.camera > solid.offsets) & (solid.radii > smallest_m)
+    return order[seen[order]]
 
 
 def _samples(area: int) -> int:

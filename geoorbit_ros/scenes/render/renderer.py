@@ -11,13 +11,17 @@ from geoorbit_ros.scenes.camera import PinholeCamera
 from geoorbit_ros.scenes.detector_model import View
 from geoorbit_ros.scenes.render.background import make_background
 from geoorbit_ros.scenes.render.conditions import Conditions, illumination
-from geoorbit_ros.scenes.render.headlights import Headlights
+from geoorbit_ros.scenes.render.lamps import Lamps
+from geoorbit_ros.scenes.render.light_pools import LightPools
 from geoorbit_ros.scenes.render.occlusion import draw_order, visible_shares
-from geoorbit_ros.scenes.render.painter import Body, Painter, silhouettes
+from geoorbit_ros.scenes.render.painter import Body, Painter, in_image, silhouettes
 from geoorbit_ros.scenes.render.rain import Rain
 from geoorbit_ros.scenes.render.road_surface import Roads, surface_of
 from geoorbit_ros.scenes.render.sensor import Sensor
 from geoorbit_ros.scenes.render.shadows import Shadows
+
+_MARGIN = 0.5
+"""Vehicles this share of the image beyond its border can throw shadow or light into it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,51 +66,49 @@ class SceneRenderer:
         self._empty = np.rint(255.0 * background.lit).astype(np.uint8)
         self._painter = Painter(camera, light, seed)
         self._shadows = Shadows(camera, light, wet)
-        self._headlights: Headlights | None = None
+        self._pools: LightPools | None = None
+        self._lamps: Lamps | None = None
         if light.headlights > 0.0:
-            self._headlights = Headlights(camera, background.albedo, light.headlights, wet)
+            self._pools = LightPools(camera, background.albedo, light.headlights)
+            self._lamps = Lamps(camera, light.headlights, wet)
         self._rain = Rain(camera.image_size, self.conditions.light, seed) if wet else None
         self._sensor = Sensor(camera.image_size, self.conditions, light.noise, seed)
 
     def render(self, vehicles: View, time_s: float) -> NDArray[np.uint8]:
         """The picture (H, W, 3) blue, green, red at `time_s`."""
         bodies = self._painter.place(vehicles)
-        order = draw_order(vehicles, self.camera.centre_m)
-        placed = [body for body in (bodies[k] for k in order) if body is not None]
-        return self._picture(vehicles, self._in_view(placed), time_s)
+        return self._picture(self._sorted(vehicles, bodies), time_s)
 
     def render_with_boxes(
         self, vehicles: View, time_s: float
     ) -> tuple[NDArray[np.uint8], TrueBoxes]:
         """The picture, and where the vehicles are in it."""
         bodies = self._painter.place(vehicles)
-        order = draw_order(vehicles, self.camera.centre_m)
-        outlines = silhouettes(bodies)
-        visible = visible_shares(outlines, order, self.camera.image_size)
-        placed = [body for body in (bodies[k] for k in order) if body is not None]
-        picture = self._picture(vehicles, self._in_view(placed), time_s)
+        order = self._sorted(vehicles, bodies)
+        outlines = silhouettes(bodies, self.camera.image_size)
+        visible = visible_shares(outlines, [k for k, _ in order], self.camera.image_size)
         boxes = outlines.boxes + np.tile(self._sensor.sway_px(time_s), 2)
-        return picture, TrueBoxes(boxes, visible)
+        return self._picture(order, time_s), TrueBoxes(boxes, visible)
 
-    def _in_view(self, bodies: list[Body]) -> list[Body]:
-        """Bodies near enough to the image to show in it, be it by their shadow."""
-        width, height = self.camera.image_size
-        low, high = np.array([-0.5 * width, -0.5 * height]), np.array([1.5 * width, 1.5 * height])
-        return [
-            body
-            for body in bodies
-            if np.all(body.pixel.max(axis=0) > low) and np.all(body.pixel.min(axis=0) < high)
-        ]
+    def _sorted(self, vehicles: View, bodies: list[Body | None]) -> list[tuple[int, Body]]:
+        """Bodies that show in the image, be it by their shadow, the farthest first."""
+        size = self.camera.image_size
+        near = [k for k, body in enumerate(bodies) if body and in_image(body.box, size, _MARGIN)]
+        some = View(*(getattr(vehicles, name)[near] for name in View.__slots__))
+        ordered = (near[k] for k in draw_order(some, self.camera.centre_m))
+        return [(k, body) for k in ordered if (body := bodies[k]) is not None]
 
-    def _picture(self, vehicles: View, bodies: list[Body], time_s: float) -> NDArray[np.uint8]:
+    def _picture(self, order: list[tuple[int, Body]], time_s: float) -> NDArray[np.uint8]:
+        bodies = [body for _, body in order]
         picture = self._empty.copy()
         self._shadows.darken(picture, bodies, self._sensor.sunshine(time_s))
-        if self._headlights:
-            self._headlights.light_road(picture, bodies)
-        for body in bodies:
-            self._painter.paint(picture, body, vehicles)
-            if self._headlights:  # now: a nearer vehicle hides the lamps too
-                self._headlights.add_glare(picture, body)
+        if self._pools:
+            self._pools.light_road(picture, bodies)
+        glares = self._lamps.glares(bodies) if self._lamps else []
+        for k, body in enumerate(bodies):
+            self._painter.paint(picture, body)
+            if self._lamps:  # now: a nearer vehicle hides the lamps too
+                self._lamps.draw(picture, glares[k])
         if self._rain:
             picture = self._rain.fall(picture, time_s)
         return self._sensor.expose(picture, time_s)

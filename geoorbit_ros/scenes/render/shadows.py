@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +15,10 @@ from geoorbit_ros.scenes.render.painter import Body
 COARSE = 2
 """Pixels per shadow pixel: shadows have soft edges."""
 _SHIFT = 4
+_FAR_PX = 20000.0
+"""OpenCV's polygons take no larger coordinates."""
+_LOW_M = 0.6
+"""Corners below this make the outline of what touches the ground."""
 _BENEATH = 0.62
 """Share of light that is missing beneath a vehicle."""
 _MIRROR = 0.30
@@ -49,16 +55,18 @@ class Shadows:
         width, height = self._size
         beneath = np.zeros((height, width), np.uint8)
         cast = np.zeros((height, width), np.uint8)
-        for body in bodies:
-            outline = body.world[body.solid.hull]
-            if self._sunny:
-                ground = outline[:, :2] - outline[:, 2:] * self._cast
-                self._fill(cast, ground, 0.0, round(255 * sunshine))
-            if self._wet:
-                self._fill(beneath, outline[:, :2], -outline[:, 2], round(255 * _MIRROR))
-        for body in bodies:
-            outline = body.world[body.solid.hull]
-            self._fill(beneath, outline[outline[:, 2] < 0.6, :2], 0.0, round(255 * _BENEATH))
+        outlines = np.concatenate([body.outline_m for body in bodies])
+        start = np.append(0, np.cumsum([len(body.outline_m) for body in bodies]))
+        flat = outlines[:, 2:] * 0.0
+        if self._sunny:
+            ground = np.hstack([outlines[:, :2] - outlines[:, 2:] * self._cast, flat])
+            self._fill(cast, ground, start, round(255 * sunshine))
+        if self._wet:
+            mirrored = outlines * (1.0, 1.0, -1.0)
+            self._fill(beneath, mirrored, start, round(255 * _MIRROR))
+        low = outlines[:, 2] < _LOW_M
+        ground = np.hstack([outlines[:, :2], flat])[low]
+        self._fill(beneath, ground, np.append(0, np.cumsum(low))[start], round(255 * _BENEATH))
         rows = np.flatnonzero((cast | beneath).any(axis=1))
         if not len(rows):
             return
@@ -76,17 +84,17 @@ class Shadows:
     def _fill(
         self,
         mask: NDArray[np.uint8],
-        ground_m: NDArray[np.float64],
-        height_m: float | NDArray[np.float64],
+        points_m: NDArray[np.float64],
+        start: NDArray[np.int64],
         level: int,
     ) -> None:
-        """Fill the convex hull of points (N, 2) on, or below, the ground."""
-        points = np.column_stack([ground_m, np.broadcast_to(height_m, len(ground_m))])
-        pixel, depth = self._camera.project(points)
-        if depth.min() <= 1.0:
-            return
-        hull = cv2.convexHull(pixel.astype(np.float32))[:, 0]
-        if np.abs(hull).max() > 20000.0:
-            return
-        corners = np.rint((hull / COARSE - 0.5) * (1 << _SHIFT)).astype(np.int32)
-        cv2.fillConvexPoly(mask, corners, level, cv2.LINE_AA, _SHIFT)
+        """Fill the convex hulls of points (N, 3); those of hull k are from `start[k]` on."""
+        pixel, depth = self._camera.project(points_m)
+        coarse = (pixel / COARSE - 0.5).astype(np.float32)
+        for a, b in pairwise(start.tolist()):
+            if b - a < 3 or depth[a:b].min() <= 1.0:
+                continue
+            hull = cv2.convexHull(coarse[a:b])
+            if np.abs(hull).max() < _FAR_PX:
+                corners = np.rint(hull * (1 << _SHIFT)).astype(np.int32)
+                cv2.fillConvexPoly(mask, corners, level, cv2.LINE_AA, _SHIFT)

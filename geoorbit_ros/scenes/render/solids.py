@@ -35,25 +35,31 @@ class Solid:
     """A vehicle's shape; x forward, y left, z up.
 
     Attributes:
+        size_m: Length, width and height.
         corners: (V, 3) metres.
+        hull: Corner numbers on the convex hull of the whole.
         faces: Corner numbers of each convex face.
         normals: (F, 3) outward.
-        centres: (F, 3) a point of each face.
+        offsets: (F,) a point p is before a face when normal · p exceeds its offset.
+        radii: (F,) half of each face's extent, metres.
         materials: (F,) `Material` of each.
-        tiers: (F,) parts of a higher tier cover those of a lower one.
-        middles: (F,) x of the part that a face belongs to, which orders parts of one tier.
-        hull: Corner numbers on the convex hull of the whole.
+        order_ahead: (F,) faces in the order of drawing for a camera ahead of `pivot_m`.
+        order_behind: (F,) the same for one behind it.
+        pivot_m: x between the parts that stand behind each other.
         lamps: (L, 3) places of the head lights, then of as many tail lights.
     """
 
+    size_m: tuple[float, float, float]
     corners: NDArray[np.float64]
+    hull: NDArray[np.intp]
     faces: list[NDArray[np.intp]]
     normals: NDArray[np.float64]
-    centres: NDArray[np.float64]
+    offsets: NDArray[np.float64]
+    radii: NDArray[np.float64]
     materials: NDArray[np.int64]
-    tiers: NDArray[np.int64]
-    middles: NDArray[np.float64]
-    hull: NDArray[np.intp]
+    order_ahead: NDArray[np.intp]
+    order_behind: NDArray[np.intp]
+    pivot_m: float
     lamps: NDArray[np.float64]
 
 
@@ -94,16 +100,17 @@ class _Builder:
         self._part = (0, 0.0)
 
     def part(self, tier: int, middle: float = 0.0) -> None:
-        """Following faces belong to a part of this tier, whose middle is at x = `middle`."""
+        """Begin a part with its middle at x = `middle`; higher tiers cover lower ones.
+
+        No two parts of a tier have one middle, and those of one tier stand behind each other.
+        """
         self._part = tier, middle * float(self.size[0])
 
     def face(self, points: list[tuple[float, float, float]], material: Material) -> None:
         """A convex face; its corners run counter-clockwise seen from outside."""
         # No patch stands out of the vehicle's box.
         corners = np.clip(np.array(points), [-0.5, -0.5, 0.0], [0.5, 0.5, 1.0]) * self.size
-        normal = np.zeros(3)
-        for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-            normal += np.cross(a, b)  # Newell's method
+        normal = np.cross(corners, np.roll(corners, -1, axis=0)).sum(axis=0)  # Newell's method
         length = float(np.linalg.norm(normal))
         if length < 1e-12:
             return
@@ -182,16 +189,21 @@ class _Builder:
 
     def solid(self) -> Solid:
         """What was collected."""
-        corners = np.concatenate(self._corners)
+        corners, normals = np.concatenate(self._corners), np.array(self._normals)
+        tiers, middles = np.array(self._tiers), np.array(self._middles)
+        length_m, width_m, height_m = self.size.tolist()
         return Solid(
+            (length_m, width_m, height_m),
             corners,
-            self._faces,
-            np.array(self._normals),
-            np.array([corners.mean(axis=0) for corners in self._corners]),
-            np.array(self._materials, dtype=np.int64),
-            np.array(self._tiers, dtype=np.int64),
-            np.array(self._middles),
             np.asarray(ConvexHull(corners).vertices, dtype=np.intp),
+            self._faces,
+            normals,
+            np.array([n @ c.mean(axis=0) for n, c in zip(normals, self._corners, strict=True)]),
+            np.array([0.5 * np.linalg.norm(np.ptp(c, axis=0)) for c in self._corners]),
+            np.array(self._materials, dtype=np.int64),
+            np.lexsort((middles, tiers)),
+            np.lexsort((-middles, tiers)),
+            float(0.5 * (middles.min() + middles.max())),
             np.array(self._lamps) * self.size,
         )
 

@@ -59,9 +59,9 @@ def test_a_box_holds_the_whole_vehicle_and_no_more(
     body = painter.place(view)[0]
     assert body is not None
     canvas = np.full((360, 640, 3), (255, 0, 255), np.uint8)
-    painter.paint(canvas, body, view)
+    painter.paint(canvas, body)
     drawn = extent(np.any(canvas != (255, 0, 255), axis=2))
-    box = silhouettes([body]).boxes[0]
+    box = silhouettes([body], (640, 360)).boxes[0]
     # Whole pixels: half a subpixel more where an edge lies.
     assert np.all(drawn[:2] >= np.floor(box[:2] - 0.3))
     assert np.all(drawn[2:] <= np.ceil(box[2:] + 0.3))
