@@ -7,7 +7,7 @@ an axis: it depends on distances and angles between vehicles alone.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -60,6 +60,8 @@ class CurvilinearEstimator:
 
     def __init__(self) -> None:
         self._evidence = Evidence()
+        self.add: Callable[[int, NDArray[np.void]], None] = self._evidence.add
+        """Take one frame of `TRACK_DTYPE` rows; stamps increase from call to call."""
         self._registry = LaneRegistry()
         self._spines: list[tuple[Spine, float]] = []
         self._traced = 0
@@ -67,10 +69,6 @@ class CurvilinearEstimator:
         self._counted = 0
         self._strays = Strays()
         self._bundle = False
-
-    def add(self, stamp_ns: int, rows: NDArray[np.void]) -> None:
-        """Take one frame of `TRACK_DTYPE` rows; stamps increase from call to call."""
-        self._evidence.add(stamp_ns, rows)
 
     def lanes(self, parameters: LaneParameters) -> LaneMap:
         """The lanes as the evidence stands now; see the module's text for the method."""

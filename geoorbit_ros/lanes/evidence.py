@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.tables import TRACK_DTYPE
-from geoorbit_ros.lanes.grouped import changes
+from geoorbit_ros.lanes.grouped import changes, lengths
 from geoorbit_ros.lanes.passes import (
     MAX_GAP_S,
     MAX_PIECE_S,
@@ -109,7 +109,7 @@ class Evidence:
         new = changes(track)
         new[1:] |= np.diff(time_s) > MAX_GAP_S
         first = np.flatnonzero(new)
-        counts = np.diff(first, append=len(rows))
+        counts = lengths(first, len(rows))
         begin_s, end_s = time_s[first], time_s[first + counts - 1]
         # All of a track that has ended, and the whole pieces of one that goes on.
         until_s = begin_s + MAX_PIECE_S * np.floor((end_s - begin_s) / MAX_PIECE_S)

@@ -10,7 +10,17 @@ from numpy.typing import NDArray
 
 def changes(value: NDArray[Any]) -> NDArray[np.bool_]:
     """(N,) where a value differs from the one before; True at the first."""
-    return np.append(True, value[1:] != value[:-1])
+    result = np.ones(len(value), bool)
+    np.not_equal(value[1:], value[:-1], out=result[1:])
+    return result
+
+
+def lengths(first: NDArray[np.int64], size: int) -> NDArray[np.int64]:
+    """Lengths of runs that begin at `first`, the last of which ends before `size`."""
+    result = np.empty(len(first), np.int64)
+    np.subtract(first[1:], first[:-1], out=result[:-1])
+    result[-1:] = size - first[-1:]
+    return result
 
 
 def totals(group: NDArray[np.int64], value: NDArray[Any], groups: int) -> NDArray[np.float64]:

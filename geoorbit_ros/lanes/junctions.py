@@ -45,14 +45,14 @@ def lane_directions(ridges: list[Ridge], step_m: NDArray[np.float64]) -> list[ND
         direction = slope.copy()
         best = np.where(own.height > 0.0, own.weight, 0.0)
         for other, other_slope in zip(ridges, slopes, strict=True):
+            if other.weight <= own.weight:
+                continue
             low = max(own.first, other.first)
             high = min(own.end, other.end)
-            if other is own or high - low < 2 * MIN_STATIONS:
+            if high - low < 2 * MIN_STATIONS:
                 continue
             here = slice(low - own.first, high - own.first)
             there = slice(low - other.first, high - other.first)
-            if other.weight <= own.weight:
-                continue
             beside = np.abs(own.d[here] - other.d[there]) <= BESIDE_M
             if not beside.any():
                 continue
@@ -94,7 +94,10 @@ def _give_tails(ridges: list[Ridge]) -> list[Ridge]:
     result = list(ridges)
     for i, ending in enumerate(result):
         for k, going in enumerate(result):
-            if i == k or (found := _junction(ending, going)) is None:
+            if i == k or not _goes_on(ending, going):
+                continue
+            found = _junction(ending, going)
+            if found is None:
                 continue
             cut = found - going.first
             end = ending.end
@@ -110,13 +113,15 @@ def _give_tails(ridges: list[Ridge]) -> list[Ridge]:
     return result
 
 
+def _goes_on(ending: Ridge, going: Ridge) -> bool:
+    """Whether one ridge runs long enough beside another before that ends, and after."""
+    begin = max(ending.first, going.first)
+    return begin + 2 * MIN_STATIONS <= ending.end <= going.end - MIN_STATIONS
+
+
 def _junction(ending: Ridge, going: Ridge) -> int | None:
     """Station at which `going` has come onto the straight continuation of `ending`, if it has."""
     end = ending.end
-    if min(len(ending.d), end - going.first) < 2 * MIN_STATIONS:
-        return None
-    if going.end < end + MIN_STATIONS:
-        return None
     if abs(going.d[end - 1 - going.first] - ending.d[-1]) > MIN_SPACING_M:
         return None
     # The last stations before the crests melt are already drawn to each other.

@@ -67,11 +67,12 @@ def find_members(
     stations, rows = len(profiles.station_m), len(profiles.passes)
     middle = table(ridges, [r.d for r in ridges], stations, np.inf)
     direction = table(ridges, directions, stations, 0.0)
-    lane, sample = np.nonzero(np.abs(profiles.d - middle[:, profiles.station]) <= MAX_OFFSET_M)
+    away = np.abs(profiles.d - middle.take(profiles.station, axis=1))
+    lane, sample = np.nonzero(away <= MAX_OFFSET_M)
     row, station = profiles.row[sample], profiles.station[sample]
     sideways_m = np.where(alone, SIDEWAYS_ALONE_M, SIDEWAYS_M)[lane]
-    away = np.abs(profiles.slope[sample] - direction[lane, station])
-    along = away <= sideways_m / profiles.scale_m[station]
+    turned = np.abs(profiles.slope[sample] - direction[lane, station])
+    along = turned <= sideways_m / profiles.scale_m[station]
     pair = lane * rows + row
     length = totals(pair, along, len(ridges) * rows) / STATIONS_PER_SCALE
     enough = length >= MIN_SUPPORT
@@ -103,8 +104,8 @@ def keeping_lane(
     if not ridges:
         return np.ones(len(profiles.d))
     stations = len(profiles.station_m)
-    away = table(ridges, [r.d for r in ridges], stations, np.inf)[:, profiles.station]
-    away = np.abs(away - profiles.d)
+    middle = table(ridges, [r.d for r in ridges], stations, np.inf)
+    away = np.abs(profiles.d - middle.take(profiles.station, axis=1))
     nearest = away.argmin(axis=0)
     direction = table(ridges, directions, stations, 0.0)[nearest, profiles.station]
     across = (profiles.slope - direction) * profiles.scale_m[profiles.station]
@@ -121,23 +122,19 @@ def _presence(
     sample: NDArray[np.int64],
 ) -> NDArray[np.float64]:
     stations = len(profiles.station_m)
-    middle = np.full((len(ridges), stations), np.inf)
+    weight = profiles.weight[profiles.row]
+    cell = lane * stations + profiles.station[sample]
+    own = totals(cell, weight[sample], len(ridges) * stations).reshape(len(ridges), stations)
+    result = np.zeros(len(ridges))
     for k, ridge in enumerate(ridges):
         here = np.flatnonzero(profiles.corridor == profiles.corridor[ridge.first])
-        middle[k, here] = np.interp(here, ridge.stations, ridge.d)
-    band = np.abs(profiles.d - middle[:, profiles.station]) <= BAND_M
-    at, seen = np.nonzero(band)
-    weight = profiles.weight[profiles.row]
-
-    def total(who: NDArray[np.int64], what: NDArray[np.int64]) -> NDArray[np.float64]:
-        cell = who * stations + profiles.station[what]
-        sums = totals(cell, weight[what], len(ridges) * stations)
-        return sums.reshape(len(ridges), stations)
-
-    # Where its own vehicles are: a busy lane stays one though a few are seen far beyond.
-    traffic, own = total(at, seen), total(lane, sample)
-    most = own.sum(axis=1) * traffic.max(axis=1)
-    return np.asarray((own * traffic).sum(axis=1) / np.maximum(most, 1e-9))
+        middle = np.full(stations, np.inf)
+        middle[here] = np.interp(here, ridge.stations, ridge.d)
+        band = np.abs(profiles.d - middle[profiles.station]) <= BAND_M
+        traffic = totals(profiles.station, weight * band, stations)
+        # Where its own vehicles are: a busy lane stays one though a few are seen far beyond.
+        result[k] = own[k] @ traffic / max(own[k].sum() * traffic.max(), 1e-9)
+    return result
 
 
 def _distinct(

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.lanes.grouped import changes
+from geoorbit_ros.lanes.grouped import changes, lengths
 from geoorbit_ros.lanes.track_rows import TrackRows
 
 MAX_GAP_S = 1.5
@@ -125,7 +125,7 @@ def condense(rows: TrackRows) -> Passes:
         return empty_passes()
     new = _new_vehicle(rows)
     first = np.flatnonzero(new)
-    begin_s = np.repeat(rows.time_s[first], np.diff(first, append=len(rows)))
+    begin_s = np.repeat(rows.time_s[first], lengths(first, len(rows)))
     slot = np.floor((rows.time_s - begin_s) / NODE_PERIOD_S)
     new[1:] |= np.diff(np.floor(slot / (MAX_PIECE_S / NODE_PERIOD_S))) > 0
     nodes = _Nodes(
@@ -162,7 +162,7 @@ class _Nodes:
 
         # The error of a box is alike from frame to frame: averaging hardly reduces it, so a node
         # keeps the (harmonic mean) error of its rows instead of dividing it by sqrt(n).
-        count = np.diff(first, append=len(weight))
+        count = lengths(first, len(weight))
         return _Nodes(
             mean(self.x),
             mean(self.y),
@@ -227,7 +227,7 @@ def _cut_at_turns(nodes: _Nodes) -> _Nodes:
 def _to_passes(nodes: _Nodes) -> Passes:
     """Drop what is no traffic, measure headings."""
     first = np.flatnonzero(nodes.starts())
-    counts = np.diff(first, append=len(nodes.piece))
+    counts = lengths(first, len(nodes.piece))
     last = first + counts - 1
     noise = nodes.sigma[first] + nodes.sigma[last]
     chord = np.hypot(nodes.x[last] - nodes.x[first], nodes.y[last] - nodes.y[first])

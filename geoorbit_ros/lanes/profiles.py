@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.lanes.corridors import Corridor
-from geoorbit_ros.lanes.grouped import changes, totals
+from geoorbit_ros.lanes.grouped import changes, lengths, totals
 from geoorbit_ros.lanes.passes import Passes
 
 STATIONS_PER_SCALE = 4
@@ -165,7 +165,7 @@ def _time_at(
     s_ref: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """(V,) time of each vehicle at its `s_ref` (V,), extrapolated with its mean speed."""
-    count = np.diff(first, append=len(row))
+    count = lengths(first, len(row))
     s_mean = np.add.reduceat(s, first) / count
     t_mean = np.add.reduceat(time_s, first) / count
     ds, dt = s - s_mean[row], time_s - t_mean[row]

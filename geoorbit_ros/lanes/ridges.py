@@ -92,6 +92,9 @@ def separate(ridges: list[Ridge]) -> list[Ridge]:
                 here = slice(low - ridge.first, high - ridge.first)
                 there = slice(low - other.first, high - other.first)
                 free[here] &= np.abs(ridge.d[here] - other.d[there]) >= MIN_SPACING_M
+        if free.all():
+            kept.append(ridge)
+            continue
         # The longest free stretch remains; crumbs do not.
         edges = np.flatnonzero(np.diff(np.concatenate([[0], free.astype(np.int8), [0]])))
         runs = edges.reshape(-1, 2)
@@ -113,7 +116,9 @@ def _bridge(ridges: list[Ridge]) -> list[Ridge]:
             best = None
             for k, other in enumerate(parts):
                 gap = other.first - end
-                if 0 <= gap <= 2 * MIN_STATIONS:
+                if gap > 2 * MIN_STATIONS:
+                    break  # They come in order.
+                if gap >= 0:
                     miss = abs(other.d[0] - ridge.d[-1])
                     if miss <= LINK_M and (best is None or miss < best[0]):
                         best = (miss, k, gap)

@@ -11,7 +11,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
 
 from geoorbit_ros.lanes.passes import wrap_rad
 
@@ -21,6 +20,8 @@ COARSE = 2
 TRACE_NODES = 800
 TRACE_ANGLE_RAD = 0.4
 ALIGN_ROUNDS = 2
+ALIGNED_RAD = 0.02
+"""A curve that turned less than this has its traffic where it was: it needs no second turn."""
 RUN_OUT_M = 20.0
 """Straight extension beyond both ends, so that nodes near the ends have coordinates."""
 
@@ -45,7 +46,8 @@ class Spine:
     @cached_property
     def curvature(self) -> NDArray[np.float64]:
         """(K,) 1/m, positive to the left, smoothed over 10 m."""
-        return smooth(np.gradient(self.heading, STEP_M), 5.0) / smooth(np.ones(len(self.xy)), 5.0)
+        bend = (self.heading[1:] - self.heading[:-1]) / STEP_M
+        return smooth(np.append(bend, bend[-1]), 5.0) / smooth(np.ones(len(self.xy)), 5.0)
 
     def heading_at(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Heading at arc lengths `s`, radians."""
@@ -161,7 +163,10 @@ def trace_spine(
     s = None
     for _ in range(ALIGN_ROUNDS):
         s, d = spine.to_road(some, s)
-        spine = _align(spine, anchor, s, d, directions, scale_m)
+        turn = _turn(spine, s, d, directions, scale_m)
+        spine = spine_from_headings(spine.xy[anchor], anchor, spine.heading + turn)
+        if np.abs(turn).max() < ALIGNED_RAD:
+            break
     return spine
 
 
@@ -207,27 +212,29 @@ def _headings(
     low, high = np.minimum(grid, arc[-1]) - half, np.maximum(grid, 0.0) + half
     dx = np.interp(high, arc, path[keep, 0]) - np.interp(low, arc, path[keep, 0])
     dy = np.interp(high, arc, path[keep, 1]) - np.interp(low, arc, path[keep, 1])
-    profile = gaussian_filter1d(np.unwrap(np.arctan2(dy, dx)), half / STEP_M, mode="nearest")
+    rough = np.arctan2(dy, dx)
+    rough = rough[0] + np.append(0.0, np.cumsum(wrap_rad(rough[1:] - rough[:-1])))
+    blur = half / STEP_M
+    profile = smooth(rough, blur) / smooth(np.ones(len(rough)), blur)
     return profile, round((arc_anchor + RUN_OUT_M) / STEP_M)
 
 
-def _align(
+def _turn(
     spine: Spine,
-    anchor: int,
     s: NDArray[np.float64],
     d: NDArray[np.float64],
     heading: NDArray[np.float64],
     scale_m: float,
-) -> Spine:
-    """Turn the curve, place by place, into the robust mean direction of the traffic beside it."""
+) -> NDArray[np.float64]:
+    """(K,) angle, place by place, to the robust mean direction of the traffic beside the curve."""
     off = wrap_rad(heading - spine.heading_at(s))
     use = (np.abs(off) < TRACE_ANGLE_RAD) & (np.abs(d) < 2.0 * scale_m) & spine.regular(s, d)
     use &= (s >= 0.0) & (s <= spine.s[-1])
+    centre = np.zeros(len(spine.s))
     if not use.any():
-        return spine
+        return centre
     k = np.minimum((s[use] / STEP_M).round().astype(np.int64), len(spine.s) - 1)
     off = off[use]
-    centre = np.zeros(len(spine.s))
     blur = 0.5 * scale_m / STEP_M
     for _ in range(3):
         # Cauchy weights: turning and lane-changing vehicles hardly count.
@@ -240,4 +247,4 @@ def _align(
         known = mass > min(1e-3, 0.5 * float(mass.max()))
         where = np.flatnonzero(known)
         centre = np.interp(np.arange(len(centre)), where, pull[known] / mass[known])
-    return spine_from_headings(spine.xy[anchor], anchor, spine.heading + centre)
+    return centre
