@@ -1,8 +1,8 @@
 """The tracker: detections of one camera, frame by frame, become tracks with lasting ids.
 
 Two-stage association by confidence is ByteTrack's (Zhang et al. 2022, arXiv:2110.06864); judging by
-the last observation instead of accumulated predictions, and the recovery of vehicles that stand
-where they were last seen, are OC-SORT's (Cao et al. 2023, arXiv:2203.14360, sections 4.1 and 4.3).
+the last observation instead of accumulated predictions is OC-SORT's (Cao et al. 2023,
+arXiv:2203.14360, section 4.1).
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ from geoorbit_ros.tracking.assignment import assign
 from geoorbit_ros.tracking.candidates import Pairs, candidate_pairs
 from geoorbit_ros.tracking.frame_detections import FrameDetections, prepare
 from geoorbit_ros.tracking.motion import MEAN, MotionNoise, correct, predict, start
-from geoorbit_ros.tracking.overlap import overlapping_pairs
 from geoorbit_ros.tracking.parameters import TrackerParameters
 from geoorbit_ros.tracking.track_table import TrackTable
 
@@ -33,8 +32,6 @@ PAIR_LIMIT = 32.0
 """Cost at which a detection rather is another vehicle."""
 WEAK_GAP_S = 0.8
 """Weak detections continue tracks that were observed this recently."""
-RECOVERY_IOU = 0.5
-"""Overlap with the last observed box that a vehicle found standing must have."""
 TENTATIVE_GAP_S = 0.3
 """An unconfirmed track ends when it is unobserved in a frame and for this long."""
 MAX_TRACKS = 2000
@@ -175,22 +172,7 @@ class Tracker:
         open_weak = ~of_strong & (partner[pairs.track] < 0) & (elapsed_s[pairs.track] < WEAK_GAP_S)
         if open_weak.any():
             _settle(partner, pairs.where(open_weak), PAIR_LIMIT)
-        self._recover(partner, strong, found)
         return partner
-
-    def _recover(
-        self, partner: NDArray[np.intp], strong: NDArray[np.bool_], found: FrameDetections
-    ) -> None:
-        """Vehicles that stopped unseen: they are where they were last observed."""
-        tracks = self._tracks
-        left = strong.copy()
-        left[partner[partner >= 0]] = False
-        rows = np.flatnonzero((partner < 0) & (tracks.missed > 0) & (tracks.track_id > 0))
-        columns = np.flatnonzero(left)
-        if len(rows) and len(columns):
-            i, j, overlap = overlapping_pairs(tracks.box[:, rows], found.box[:, columns])
-            pairs = Pairs(rows[i], columns[j], 1.0 - overlap)
-            _settle(partner, pairs, 1.0 - RECOVERY_IOU)
 
     def _confirm(self) -> None:
         tracks = self._tracks

@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from geoorbit_ros.tracking.assignment import assign
-from geoorbit_ros.tracking.overlap import overlapping_pairs
 
 LIMIT = 10.0
 costs = st.dictionaries(
@@ -39,11 +38,3 @@ def test_no_other_pairing_is_cheaper(
     assert len(np.unique(row[chosen])) == len(np.unique(column[chosen])) == len(chosen)
     assert (cost[chosen] < LIMIT).all()
     assert (LIMIT - cost[chosen]).sum() == pytest.approx(gain_of_best(pairs))
-
-
-def test_overlapping_pairs_by_hand() -> None:
-    first = np.array([[0.0, 50.0], [0.0, 0.0], [10.0, 10.0], [4.0, 4.0]])
-    second = np.array([[5.0], [0.0], [10.0], [4.0]])
-    i, j, overlap = overlapping_pairs(first, second)
-    assert (i.tolist(), j.tolist()) == ([0], [0])
-    assert overlap == pytest.approx([1 / 3])

@@ -213,15 +213,19 @@ def test_unseen_vehicles_are_predicted_where_they_are_and_flagged() -> None:
         assert row["height"] == pytest.approx(truth[3], rel=0.1)
 
 
-def test_a_vehicle_that_stopped_while_hidden_is_found_where_it_was() -> None:
-    moving = Vehicle(3.0, 30.0, 12.0)
+@pytest.mark.parametrize(("speed_mps", "same"), [(2.0, True), (25.0, False)])
+def test_what_stands_where_a_slow_vehicle_was_last_seen_is_that_vehicle(
+    speed_mps: float, same: bool
+) -> None:
+    # A fast one can't have stopped there: it is another one.
+    moving = Vehicle(3.0, 30.0, speed_mps)
     box = detections([moving], 1.0)
     frames = [
-        (s, detections([moving], seconds(s)) if seconds(s) <= 1.0 else box[: int(seconds(s) > 2.0)])
-        for s in stamps(60)
+        (s, detections([moving], seconds(s)) if seconds(s) <= 1.0 else box[: int(seconds(s) > 2.2)])
+        for s in stamps(70)
     ]
     output = track_all(frames)
-    assert output[-1]["track_id"].tolist() == output[20]["track_id"].tolist()
+    assert (output[-1]["track_id"][0] == output[20]["track_id"][0]) == same
 
 
 def test_what_leaves_the_image_ends_and_cut_boxes_are_flagged() -> None:
