@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 
 from geoorbit_ros.federated.client import FederatedClient, LocalResult, Work
+from geoorbit_ros.federated.envelope import schema_of
 from geoorbit_ros.federated.errors import FederationError
+from geoorbit_ros.federated.secure_aggregation.message import SCHEMA as SECURE
 from geoorbit_ros.federated.server import FederatedServer
 from geoorbit_ros.federated.traffic import Traffic
 
@@ -78,12 +80,31 @@ def _answer(
 ) -> list[bytes]:
     """Train everybody who is asked, hand in the updates; what the server announces then."""
     results = iter(train_many([(client, work) for client, work in asked if not work.ready]))
-    announced = []
-    for client, work in asked:
-        update = work.ready or client.finish(work, next(results))
-        # An asynchronous server may make several models of one batch of updates.
-        if update and not server.finished:
-            traffic.up(update)
-            following = server.receive(update, now_s)
-            announced += [following] if following else []
+    updates = [work.ready or client.finish(work, next(results)) for client, work in asked]
+    clients = [client for client, _ in asked]
+    announced: list[bytes] = []
+    for update in updates:
+        announced += _hand_in(server, clients, update, traffic, now_s) if update else []
+    return announced
+
+
+def _hand_in(
+    server: FederatedServer,
+    clients: Sequence[FederatedClient],
+    update: bytes,
+    traffic: Traffic,
+    now_s: float,
+) -> list[bytes]:
+    """Give the server an update, and see the steps of a masked sum through."""
+    waiting, announced = [update], []
+    # An asynchronous server may be done before all updates of a batch are in.
+    while waiting and not server.finished:
+        payload = waiting.pop(0)
+        traffic.up(payload)
+        following = server.receive(payload, now_s)
+        if following is not None and schema_of(following) == SECURE:
+            traffic.down(following, len(clients))
+            waiting += [step for client in clients if (step := client.assist(following))]
+        elif following is not None:
+            announced.append(following)
     return announced
