@@ -1,10 +1,7 @@
-"""A trained meta-learner and its history as files."""
+"""A trained meta-learner as a file."""
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Sequence
-from dataclasses import astuple, fields
 from pathlib import Path
 from zipfile import BadZipFile
 
@@ -12,7 +9,6 @@ import numpy as np
 
 from geoorbit_ros.core.errors import InputFileError, TableError
 from geoorbit_ros.learning.meta_learner import MetaLearner
-from geoorbit_ros.learning.training import Round
 from geoorbit_ros.storage.atomic import atomic_output
 
 _FEATURES, _PARAMETERS = "feature_names", "parameter_names"
@@ -48,27 +44,3 @@ def load_model(path: Path) -> MetaLearner:
     if names != expected:
         raise InputFileError(str(path), f"a model of {names}", f"one of {expected}")
     return learner
-
-
-def save_history(rounds: Sequence[Round], path: Path) -> None:
-    """Write the rounds as CSV."""
-    with atomic_output(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as f:
-        writer = csv.writer(f)
-        writer.writerow(field.name for field in fields(Round))
-        writer.writerows(astuple(entry) for entry in rounds)
-
-
-def load_history(path: Path) -> list[Round]:
-    """Read what `save_history` wrote.
-
-    Raises:
-        InputFileError: Not such a file.
-    """
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            header, *rows = list(csv.reader(file))
-        if header != [field.name for field in fields(Round)]:
-            raise InputFileError(str(path), f"columns {header}", "a history of geoorbit train")
-        return [Round(int(row[0]), *map(float, row[1:])) for row in rows]
-    except (OSError, ValueError) as error:
-        raise InputFileError(str(path), error, "a history of geoorbit train") from error

@@ -18,10 +18,11 @@ from geoorbit_ros.learning.fleet_cameras import (
     examples_of,
     fleet_cameras,
 )
+from geoorbit_ros.learning.history import Round, save_history
 from geoorbit_ros.learning.loss_table import LossTable
 from geoorbit_ros.learning.meta_learner import MetaLearner
-from geoorbit_ros.learning.model_file import save_history, save_model
-from geoorbit_ros.learning.training import Mode, Round, RunSettings, TrainedModel, train
+from geoorbit_ros.learning.model_file import save_model
+from geoorbit_ros.learning.training import Mode, RunSettings, TrainedModel, train
 from geoorbit_ros.learning.workers import Progress, quiet
 from geoorbit_ros.storage.atomic import atomic_output
 

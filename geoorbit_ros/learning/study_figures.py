@@ -8,9 +8,9 @@ from pathlib import Path
 import matplotlib.figure
 import numpy as np
 
-from geoorbit_ros.learning.model_file import load_history
+from geoorbit_ros.learning.history import Round, load_history
 from geoorbit_ros.learning.study import Study
-from geoorbit_ros.learning.training import MODES, Mode, Round
+from geoorbit_ros.learning.training import MODES, Mode
 
 TITLES: dict[Mode, str] = {"central": "Meta-GeoLane", "federated": "FedMeta-GeoLane"}
 COLOURS: dict[Mode, str] = {"central": "#b45f06", "federated": "#1f5a99"}

@@ -19,6 +19,7 @@ from geoorbit_ros.federated.server_config import ServerConfig
 from geoorbit_ros.federated.strategies.factory import make_strategy
 from geoorbit_ros.federated.traffic import Traffic
 from geoorbit_ros.learning.features import FEATURE_NAMES
+from geoorbit_ros.learning.history import Round
 from geoorbit_ros.learning.local_training import (
     Examples,
     TrainingSettings,
@@ -57,23 +58,6 @@ class RunSettings:
     encoding: str = "float32"
     training: TrainingSettings = field(default_factory=TrainingSettings)
     seed: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class Round:
-    """The model before a round's training, over all seen cameras.
-
-    Attributes:
-        number: From 1.
-        parameter_loss: Mean L_param.
-        parameter_loss_std: Its standard deviation over the cameras.
-        composite_loss: Mean L_total.
-    """
-
-    number: int
-    parameter_loss: float
-    parameter_loss_std: float
-    composite_loss: float
 
 
 @dataclass(frozen=True, slots=True)
