@@ -129,6 +129,7 @@ def camera_nodes(camera: Camera, fleet: Fleet, base: Path, output: Path) -> Iter
             "loop": True,
             "camera_id": camera.id,
             "publish_clock": False,
+            "stamp_now": True,
         }
     else:
         model = str(base / camera.model) if camera.model else ""
