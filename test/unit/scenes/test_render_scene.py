@@ -15,9 +15,12 @@ from geoorbit_ros.cli.main import main
 from geoorbit_ros.core.errors import InputFileError, ParameterError
 from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE
 from geoorbit_ros.lanes.geojson import read_lane_file
-from geoorbit_ros.scenes.render.conditions import Conditions
-from geoorbit_ros.scenes.render.output import write_video
-from geoorbit_ros.scenes.render.rendered_scene import RenderedScene, render_scene
+from geoorbit_ros.scenes.render.rendered_scene import (
+    RenderedFrame,
+    RenderedScene,
+    render_scene,
+)
+from geoorbit_ros.scenes.render.video import new_video
 from geoorbit_ros.scenes.scene import load_scene
 from geoorbit_ros.scenes.simulate import START_NS, simulate
 from geoorbit_ros.storage.mot_text import read_mot_tracks
@@ -29,6 +32,11 @@ NAMES = ["calibration.csv", "tracks.csv", "tracks.txt", "truth.geojson", "video.
 
 def rendered(name: str = "s_curve", seed: int = 4, duration_s: float = 2.0) -> RenderedScene:
     return render_scene(load_scene(name), duration_s, seed, fps=10.0, image_size=SIZE)
+
+
+@pytest.fixture(scope="module")
+def frames() -> list[RenderedFrame]:
+    return list(rendered())
 
 
 def test_vehicles_are_where_simulate_has_them() -> None:
@@ -72,21 +80,20 @@ def test_the_truth_is_that_of_the_scene() -> None:
     assert np.all(scene.control_points.pixel < np.array(SIZE) + 5.0)
 
 
-def test_the_same_seed_gives_the_same_frames_and_another_does_not() -> None:
-    first, again, other = (next(rendered(seed=seed)) for seed in (4, 4, 5))
+def test_the_same_seed_gives_the_same_frames_and_another_does_not(
+    frames: list[RenderedFrame],
+) -> None:
+    first, again, other = frames[0], next(rendered()), next(rendered(seed=5))
     assert np.array_equal(first.image, again.image)
     assert first.boxes.tobytes() == again.boxes.tobytes()
     assert not np.array_equal(first.image, other.image)
     assert first.boxes.tobytes() != other.boxes.tobytes()
 
 
-def test_frames_come_at_the_rate_asked_for_and_end() -> None:
-    scene = rendered(duration_s=1.0)
-    frames = list(scene)
-    assert [f.stamp_ns for f in frames] == [START_NS + k * 100_000_000 for k in range(10)]
+def test_frames_come_at_the_rate_asked_for_and_end(frames: list[RenderedFrame]) -> None:
+    assert [f.stamp_ns for f in frames] == [START_NS + k * 100_000_000 for k in range(20)]
     assert all(f.image.shape == (360, 640, 3) and f.image.dtype == np.uint8 for f in frames)
     assert all(f.boxes.dtype == PIXEL_TRACK_DTYPE for f in frames)
-    assert list(scene) == []
 
 
 @pytest.mark.parametrize(
@@ -102,7 +109,7 @@ def test_what_cannot_be_rendered_is_refused(kind: str, value: object) -> None:
 @pytest.fixture(scope="module")
 def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("rendered") / "camera"
-    assert main([*command(2), "--light", "dusk", "--out", str(folder)]) == 0
+    assert main([*command(2), "--out", str(folder)]) == 0
     return folder
 
 
@@ -111,32 +118,28 @@ def command(duration_s: int) -> list[str]:
     return [*words, "--fps", "10", "--size", "640x360"]
 
 
-def test_the_command_writes_a_full_test_camera(out: Path) -> None:
+def test_the_command_writes_a_full_test_camera(out: Path, frames: list[RenderedFrame]) -> None:
     assert sorted(path.name for path in out.iterdir()) == NAMES
     tracks = read_track_csv(out / "tracks.csv", SIZE)
-    assert len(tracks) == 20
-    frames = [frame.boxes for frame in rendered()]
-    assert tracks.rows.tobytes() == np.concatenate(
-        [np.array(rows, PIXEL_TRACK_DTYPE) for rows in frames]
-    ).tobytes() or np.array_equal(tracks.rows["x"], np.concatenate([f["x"] for f in frames]))
+    assert tracks.stamp_ns.tolist() == [frame.stamp_ns for frame in frames]
+    for name in ("x", "y", "width", "height", "score", "class_id", "track_id"):
+        expected = np.concatenate([frame.boxes[name] for frame in frames])
+        assert np.array_equal(tracks.rows[name], expected), name
     mot = dict(read_mot_tracks(out / "tracks.txt"))
-    for k, rows in enumerate(frames):
-        assert np.array_equal(mot[k + 1]["track_id"], rows["track_id"])
-        assert np.allclose(mot[k + 1]["x"], rows["x"], atol=2e-3)
-        assert np.allclose(mot[k + 1]["score"], rows["score"], atol=1e-5)
+    for k, frame in enumerate(frames):
+        assert np.array_equal(mot[k + 1]["track_id"], frame.boxes["track_id"])
+        assert np.allclose(mot[k + 1]["x"], frame.boxes["x"], atol=2e-3)
+        assert np.allclose(mot[k + 1]["score"], frame.boxes["score"], atol=1e-5)
     truth = read_lane_file(out / "truth.geojson")
     assert len(truth.lane_map.lanes) == 2
     points = read_control_points(out / "calibration.csv", truth.datum)
     assert fit_homography(points).residual.inlier.all()
 
 
-def test_the_video_shows_the_frames(out: Path) -> None:
+def test_the_video_shows_the_frames(out: Path, frames: list[RenderedFrame]) -> None:
     video = cv2.VideoCapture(str(out / "video.mp4"))
     assert video.get(cv2.CAP_PROP_FPS) == pytest.approx(10.0)
-    scene = render_scene(
-        load_scene("s_curve"), 2.0, 4, Conditions("dusk"), fps=10.0, image_size=SIZE
-    )
-    for frame in scene:
+    for frame in frames:
         there, image = video.read()
         assert there
         difference = np.abs(image.astype(float) - frame.image)
@@ -144,14 +147,38 @@ def test_the_video_shows_the_frames(out: Path) -> None:
     assert not video.read()[0]
 
 
-def test_a_name_in_avi_gives_a_video_alone(tmp_path: Path) -> None:
-    path = tmp_path / "deep" / "s_curve.avi"
-    write_video(rendered(duration_s=1.0), path)
+def test_a_name_in_avi_gives_a_jpeg_per_frame(tmp_path: Path, frames: list[RenderedFrame]) -> None:
+    path = tmp_path / "deep" / "film.avi"
+    with new_video(path, 10.0, SIZE) as film:
+        for frame in frames[:5]:
+            film.write(frame.image)
     video = cv2.VideoCapture(str(path))
-    assert sum(1 for _ in iter(lambda: video.read()[0], False)) == 10
-    assert [p.name for p in path.parent.iterdir()] == ["s_curve.avi"]
-    with pytest.raises(InputFileError, match=r"found '.mkv', expected a name in .mp4 or .avi"):
-        write_video(rendered(duration_s=1.0), tmp_path / "a.mkv")
+    for frame in frames[:5]:
+        there, image = video.read()
+        assert there and np.abs(image.astype(float) - frame.image).mean() < 6.0
+    assert not video.read()[0]
+    assert [p.name for p in path.parent.iterdir()] == ["film.avi"]
+
+
+def test_a_film_that_fails_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="lens cap"), new_video(tmp_path / "a.mp4", 10.0, SIZE):
+        raise ValueError("lens cap")
+    with (
+        pytest.raises(InputFileError, match=r"found '.mkv', expected a name in .mp4 or .avi"),
+        new_video(tmp_path / "a.mkv", 10.0, SIZE),
+    ):
+        raise AssertionError("opened")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_film_alone_is_the_same_film(out: Path, tmp_path: Path) -> None:
+    path = tmp_path / "film.mp4"
+    assert main([*command(2), "--out", str(path)]) == 0
+    films = [cv2.VideoCapture(str(p)) for p in (path, out / "video.mp4")]
+    for _ in range(20):
+        (there, image), (_, other) = (film.read() for film in films)
+        assert there and np.array_equal(image, other)
+    assert [p.name for p in tmp_path.iterdir()] == ["film.mp4"]
 
 
 @pytest.mark.parametrize(
