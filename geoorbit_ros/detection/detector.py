@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Protocol
 
 import cv2
@@ -32,6 +33,13 @@ class Detector(Protocol):
     @property
     def name(self) -> str:
         """What finds the vehicles, in a few words for a person."""
+
+    def prime(self, images: Iterable[tuple[int, NDArray[np.generic]]]) -> None:
+        """Look at stamps and images of a recording once before they come to `detect`.
+
+        What a detector learns from a camera it then knows from the first image on. Optional; a few
+        images a second are enough.
+        """
 
     def detect(self, stamp_ns: int, image: NDArray[np.generic]) -> NDArray[np.void]:
         """Vehicles in one image.

@@ -2,60 +2,128 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.detection.detector import as_bgr, detection_rows
+from geoorbit_ros.detection.detector import Image, as_bgr, detection_rows
 from geoorbit_ros.detection.motion_background import RoadBackground
+from geoorbit_ros.detection.motion_blobs import Blob, find_blobs
 from geoorbit_ros.detection.motion_shadow import ShadowModel
+from geoorbit_ros.detection.motion_sizes import VehicleSizes
+from geoorbit_ros.detection.vehicle_classes import CAR, MOTORCYCLE, TRUCK
 
 WORK_WIDTH_PX = 1280
 """Wider images are worked on at this width."""
+BEST_SCORE = 0.9
+LEARN_FRAMES = 20
+"""Sizes are learnt anew once in so many frames."""
+SURROUNDINGS_PX = 5
+"""The road is not learnt this close to a vehicle, in pixels, both sides together."""
+EDGE_PX = 0.5
+"""Edges are blurred, and a vehicle begins where it differs a little: half a pixel too early."""
+BENEATH_SHARE = 0.035
+"""Of a box's height, from below, is the darkness beneath the vehicle rather than the vehicle."""
+CHANGED_SHARE = 0.5
+"""More of the image than this doesn't change at once unless the camera or the light does."""
+CHANGED_FRAMES = 5
+TRUCK_AREA, MOTORCYCLE_WIDTH = 2.2, 0.5
+"""Of a car's: what is larger is called a truck, what is narrower a motorcycle."""
 
 
 class MotionDetector:
     """Finds whatever moves on the road of a camera that stands still.
 
+    Everything that depends on the place is learnt from the images: the empty road, how dark shadows
+    are, how large a car is where. The first second gives no boxes, the first minute worse ones.
+
     Args:
         min_score: Boxes that score less are dropped.
+
+    Attributes:
+        relearned: How often the road was learnt anew, because the camera or the light changed.
     """
 
     name = "motion"
 
     def __init__(self, min_score: float = 0.25) -> None:
         self.min_score = min_score
-        self.bg = RoadBackground()
-        self.sh = ShadowModel()
-        self._debug = np.zeros((2, 2), np.uint8)
+        self.relearned = 0
+        self._size: tuple[int, int] | None = None
+        self._forget()
+
+    def prime(self, images: Iterable[tuple[int, NDArray[np.generic]]]) -> None:
+        """See `Detector`: the road, the shadows and the sizes are known from the first image on."""
+        for stamp_ns, image in images:
+            self.detect(stamp_ns, image)
+        self._road.rewind()
 
     def detect(self, stamp_ns: int, image: NDArray[np.generic]) -> NDArray[np.void]:
         """See `Detector`."""
-        im = as_bgr(image)
-        height, width = im.shape[:2]
-        f = min(1.0, WORK_WIDTH_PX / width)
-        if f < 1:
-            im = np.asarray(
-                cv2.resize(im, None, fx=f, fy=f, interpolation=cv2.INTER_AREA), np.uint8
-            )
-        self.bg.sample(stamp_ns, im)
-        if not self.bg.ready:
-            return detection_rows(
-                np.zeros((0, 4)), np.zeros(0), np.zeros(0, np.int64), (width, height)
-            )
-        diff, road = self.bg.difference(im)
-        m = np.asarray(cv2.compare(diff, self.bg.contrast, cv2.CMP_GT), np.uint8)
-        free = cv2.bitwise_not(cv2.dilate(m, np.ones((5, 5), np.uint8)))
-        self.bg.follow(stamp_ns, im, diff, np.asarray(free, np.uint8))
-        m2 = cv2.medianBlur(self.sh.remove(im, road, m), 3)
-        m3 = cv2.morphologyEx(m2, cv2.MORPH_CLOSE, np.ones((7, 7), np.uint8))
-        self._debug = np.where(m3 > 0, np.where(m2 > 0, 255, 180), np.where(m > 0, 90, 0)).astype(
-            np.uint8
-        )
-        _, _, st, _ = cv2.connectedComponentsWithStats(m3, connectivity=8)
-        st = st[1:]
-        st = st[(st[:, 4] >= 30) & (st[:, 3] >= 6)]
-        b = np.column_stack([st[:, 0], st[:, 1], st[:, 0] + st[:, 2], st[:, 1] + st[:, 3]]) / f
-        return detection_rows(
-            b, np.full(len(b), 0.6), np.full(len(b), 2, np.int64), (width, height)
-        )
+        whole = as_bgr(image)
+        size = (whole.shape[1], whole.shape[0])
+        if size != self._size:
+            self._size = size
+            self._forget()
+        scale = min(1.0, WORK_WIDTH_PX / size[0])
+        picture = whole if scale == 1.0 else _resized(whole, scale)
+        self._road.sample(stamp_ns, picture)
+        blobs = self._blobs(stamp_ns, picture) if self._road.ready else []
+        return self._rows(blobs, scale, size)
+
+    def _forget(self) -> None:
+        self._road, self._shadows, self._sizes = RoadBackground(), ShadowModel(), VehicleSizes()
+        self._frames = self._changed = 0
+
+    def _blobs(self, stamp_ns: int, picture: Image) -> list[Blob]:
+        difference, road = self._road.difference(picture)
+        moving = np.asarray(cv2.compare(difference, self._road.contrast, cv2.CMP_GT), np.uint8)
+        if self._is_other_road(moving):
+            return []
+        near = cv2.dilate(moving, np.ones((SURROUNDINGS_PX, SURROUNDINGS_PX), np.uint8))
+        free = np.asarray(cv2.bitwise_not(near), dtype=np.uint8)
+        self._road.follow(stamp_ns, picture, difference, free)
+        vehicle = cv2.medianBlur(self._shadows.remove(picture, road, moving), 3)
+        blobs = find_blobs(moving, np.asarray(vehicle, dtype=np.uint8), self._sizes)
+        whole = [blob.box for blob in blobs if blob.whole]
+        self._sizes.add(np.array(whole, dtype=np.float64).reshape(-1, 4))
+        if self._frames % LEARN_FRAMES == 0:
+            self._sizes.learn()
+        self._frames += 1
+        return blobs
+
+    def _is_other_road(self, moving: NDArray[np.uint8]) -> bool:
+        """Whether the road is not the known one any more; then it is learnt anew."""
+        changed = cv2.countNonZero(moving) > CHANGED_SHARE * moving.size
+        self._changed = self._changed + 1 if changed else 0
+        if self._changed >= CHANGED_FRAMES:
+            self.relearned += 1
+            self._road, self._shadows, self._changed = RoadBackground(), ShadowModel(), 0
+        return changed
+
+    def _rows(self, blobs: list[Blob], scale: float, size: tuple[int, int]) -> NDArray[np.void]:
+        score = BEST_SCORE * np.array([blob.likeness for blob in blobs], dtype=np.float64)
+        boxes = np.array([blob.box for blob in blobs], dtype=np.float64).reshape(-1, 4)
+        kept = score >= self.min_score
+        boxes, score = boxes[kept], score[kept]
+        classes = self._classes(boxes)
+        boxes += [EDGE_PX, EDGE_PX, -EDGE_PX, -EDGE_PX]
+        inside = boxes[:, 3] < size[1] * scale - 1.0
+        boxes[inside, 3] -= BENEATH_SHARE * (boxes[inside, 3] - boxes[inside, 1])
+        return detection_rows(boxes / scale, score, classes, size)
+
+    def _classes(self, boxes: NDArray[np.float64]) -> NDArray[np.int64]:
+        classes = np.full(len(boxes), CAR, dtype=np.int64)
+        if self._sizes.known and len(boxes):
+            car = self._sizes.at(0.5 * (boxes[:, 0] + boxes[:, 2]), boxes[:, 3])
+            share = (boxes[:, 2:] - boxes[:, :2]) / car
+            classes[share.prod(axis=1) > TRUCK_AREA] = TRUCK
+            classes[share[:, 0] < MOTORCYCLE_WIDTH] = MOTORCYCLE
+        return classes
+
+
+def _resized(image: Image, scale: float) -> Image:
+    smaller = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    return np.asarray(smaller, dtype=np.uint8)

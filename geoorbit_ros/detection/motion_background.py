@@ -61,7 +61,7 @@ class RoadBackground:
     def sample(self, stamp_ns: int, picture: Image) -> None:
         """Keep this picture for the most usual value if it's time to, and work on that."""
         last = self._sampled_ns
-        if last is None or stamp_ns - last >= self._spacing_s * 1e9:
+        if last is None or not 0 <= stamp_ns - last < self._spacing_s * 1e9:
             self._sampled_ns = stamp_ns
             self._keep(picture)
         if not self.ready and len(self._samples) == MIN_SAMPLES:
@@ -69,6 +69,10 @@ class RoadBackground:
         elif self._strips and self.ready:
             rows = self._strips.pop()
             self._correct(rows, most_usual([sample[rows] for sample in self._samples]))
+
+    def rewind(self) -> None:
+        """Take the next stamp as it comes, be it earlier than the last; the road stays known."""
+        self._sampled_ns = self._followed_ns = None
 
     def restart(self, road: Image) -> None:
         """Begin with this picture of the empty road."""

@@ -8,18 +8,18 @@ tell a shadow from a dark car, without a threshold for how dark shadows are.
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.detection.detector import Image
-from geoorbit_ros.detection.motion_pixels import scaled
 
 BINS = 48
 LOWEST, HIGHEST = 0.2, 0.92
 """Share of green light that a shadow can leave."""
-SLACK_SHARE, SLACK_LEVELS = 0.035, 4.0
-"""How far a shadow's pixel may be from the shadow's colour: share of the road's, and levels."""
+MAX_SPREAD, MAX_EXCESS = 0.10, 0.06
+"""How far channels may disagree on how deep a shadow is, and how much deeper than its core."""
+NOISE_LEVELS = 3.0
+"""Grey levels that noise and compression add to that."""
 HUE = 0.2
 """Channels of a shadow may differ in ratio this much: the sky is bluer than the sun."""
 MEMORY_PIXELS = 300_000.0
@@ -28,8 +28,6 @@ MIN_PIXELS = 3000.0
 """Fewer pixels with a shadow's colour don't say whether there are shadows."""
 MIN_PATTERN = 0.45
 """Share of the ground's pattern that must show through."""
-FRINGE_PX = 5
-"""Soft edges of a shadow end this far from it, in pixels, both sides together."""
 _SPREAD = 3
 """Bins of one pile on either side of its top."""
 _STEP = 5
@@ -50,26 +48,35 @@ class ShadowModel:
         self.ratio: NDArray[np.float64] | None = None
 
     def remove(self, picture: Image, road: Image, mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """The mask (H, W), 255 where picture and road differ, without shadows; learns from them."""
-        self._learn(picture, road, mask)
+        """The mask (H, W), 255 where picture and road differ, without shadows; learns from them.
+
+        Between road and core of a shadow its soft edge takes all mixtures of both.
+        """
+        where = np.flatnonzero(mask)
+        base = road.reshape(-1, 3)[where].astype(np.float32)
+        seen = picture.reshape(-1, 3)[where].astype(np.float32)
+        ratio = seen / np.maximum(base, np.float32(1.0))
+        self._learn(picture, road, where[::_STEP], base[::_STEP], ratio[::_STEP])
         if self.ratio is None:
             return mask
-        shade = scaled(road, self.ratio)
-        slack = cv2.convertScaleAbs(road, alpha=SLACK_SHARE, beta=SLACK_LEVELS)
-        none, most = (0, 0, 0), (0, 0, 0)
-        core = cv2.inRange(cv2.subtract(cv2.absdiff(picture, shade), slack), none, most)
-        core = cv2.bitwise_and(core, mask)
-        # Around it the shadow fades out: anything between its colour and the road's.
-        not_darker = cv2.inRange(cv2.subtract(cv2.subtract(shade, picture), slack), none, most)
-        not_lighter = cv2.inRange(cv2.subtract(cv2.subtract(picture, road), slack), none, most)
-        fringe = cv2.dilate(core, np.ones((FRINGE_PX, FRINGE_PX), np.uint8))
-        fringe = cv2.bitwise_and(fringe, cv2.bitwise_and(not_darker, not_lighter))
-        return np.asarray(cv2.subtract(mask, cv2.bitwise_or(core, fringe)), dtype=np.uint8)
+        missing = (1.0 - self.ratio).astype(np.float32)
+        depth = (1.0 - ratio) / missing
+        noise = NOISE_LEVELS / np.maximum(base.min(axis=1), 8.0) / missing.min()
+        even = depth.max(axis=1) - depth.min(axis=1) < MAX_SPREAD + noise
+        dark = depth.mean(axis=1)
+        shadow = even & (dark > 0.0) & (dark < 1.0 + MAX_EXCESS + noise)
+        left = mask.copy()
+        left.reshape(-1)[where[shadow]] = 0
+        return left
 
-    def _learn(self, picture: Image, road: Image, mask: NDArray[np.uint8]) -> None:
-        where = np.flatnonzero(mask)[::_STEP]
-        base = road.reshape(-1, 3)[where].astype(np.float32)
-        ratio = picture.reshape(-1, 3)[where] / np.maximum(base, 1.0)
+    def _learn(
+        self,
+        picture: Image,
+        road: Image,
+        where: NDArray[np.intp],
+        base: NDArray[np.float32],
+        ratio: NDArray[np.float32],
+    ) -> None:
         middle = ratio[:, 1]
         sound = (np.abs(ratio - middle[:, None]) < HUE).all(axis=1)
         sound &= (middle > LOWEST) & (middle < HIGHEST) & (base.min(axis=1) > 30.0)

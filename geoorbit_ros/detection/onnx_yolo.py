@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -77,6 +77,9 @@ class OnnxYolo:
         """File, layout and input size."""
         width, height = self._model.canvas
         return f"{Path(self._model.place).name} ({self._layout.name}, {width}x{height})"
+
+    def prime(self, images: Iterable[tuple[int, NDArray[np.generic]]]) -> None:
+        """See `Detector`: a model has learnt before."""
 
     def detect(self, stamp_ns: int, image: NDArray[np.generic]) -> NDArray[np.void]:
         """See `Detector`; the stamp is not used."""

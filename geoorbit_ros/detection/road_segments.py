@@ -111,7 +111,7 @@ class RoadSegments:
             if cv2.contourArea(outline) < MIN_CELLS:
                 continue
             cv2.drawContours(self._mask, [outline], -1, 1, cv2.FILLED)
-            short = cv2.approxPolyDP(outline, _MAX_ERROR_PX / CELL_PX, True)[:, 0]
+            short = cv2.approxPolyDP(outline, _MAX_ERROR_PX / CELL_PX, True).reshape(-1, 2)
             pixels = (short.astype(np.float32) + 0.5) * CELL_PX
             found.append(np.clip(pixels, 0.0, np.array(self.image_size, dtype=np.float32)))
         self.contours = tuple(found)
