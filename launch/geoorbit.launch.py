@@ -1,25 +1,89 @@
-"""One camera: its lanes, live, from a video or from a bag.
+"""One camera: its lanes, live, from a video or from a bag; or a fleet of cameras from its file.
 
     ros2 launch geoorbit_ros geoorbit.launch.py camera_id:=north calibration:=calibration.csv \
         source:=rtsp://camera.example/stream rviz:=true
     ros2 launch geoorbit_ros geoorbit.launch.py camera_id:=north calibration:=calibration.csv \
         bag:=north_bag rate:=10 rviz:=true
+    ros2 launch geoorbit_ros geoorbit.launch.py fleet:=fleet.yaml
 
 Wiring only: every number is in the parameter schemas and in `params_file`.
 """
 
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
+from pathlib import Path
+
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration, NotEqualsSubstitution, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
+from geoorbit_ros.fleet.fleet_file import load_fleet
+from geoorbit_ros.fleet.plan import make_folders, plan_fleet
+from geoorbit_ros.fleet.sources import ask_sources
+
 PACKAGE = "geoorbit_ros"
 
 
 def generate_launch_description() -> LaunchDescription:
+    share = FindPackageShare(PACKAGE)
+    arguments = [
+        DeclareLaunchArgument(
+            "fleet", default_value="", description="A fleet file; see geoorbit up."
+        ),
+        DeclareLaunchArgument("out", default_value="", description="The fleet's output folder."),
+        DeclareLaunchArgument(
+            "camera_id", default_value="", description="Namespace of the camera."
+        ),
+        DeclareLaunchArgument(
+            "calibration", default_value="", description="Control points, a CSV file."
+        ),
+        DeclareLaunchArgument("source", default_value="", description="Video, address or images."),
+        DeclareLaunchArgument("model", default_value="", description="YOLO model, an ONNX file."),
+        DeclareLaunchArgument("bag", default_value="", description="Play this; empty: live."),
+        DeclareLaunchArgument("rate", default_value="1.0", description="Speed of the bag."),
+        DeclareLaunchArgument("database", default_value="", description="Record into this file."),
+        DeclareLaunchArgument("rviz", default_value="false", description="Show it in RViz."),
+        DeclareLaunchArgument(
+            "params_file",
+            default_value=PathJoinSubstitution([share, "params", "one_camera.yaml"]),
+            description="Parameters of the nodes.",
+        ),
+    ]
+    return LaunchDescription([*arguments, OpaqueFunction(function=choose)])
+
+
+def choose(context: LaunchContext) -> list[Node]:
+    """The nodes of the fleet where one is named, else those of one camera."""
+    fleet = LaunchConfiguration("fleet").perform(context)
+    out = LaunchConfiguration("out").perform(context)
+    return fleet_nodes(fleet, out) if fleet else one_camera_nodes()
+
+
+def fleet_nodes(fleet: str, out: str) -> list[Node]:
+    """The graph that `geoorbit up` makes, one process per node."""
+    content, file = load_fleet(fleet)
+    base, output = file.parent.absolute(), (Path(out or f"out/{content.name}")).absolute()
+    chosen = [plan.name for plan in plan_fleet(content, base, output)]
+    content = ask_sources(content, base, output, chosen)
+    make_folders(content, output)
+    return [
+        Node(
+            package=PACKAGE,
+            executable=node.executable,
+            namespace=node.namespace,
+            parameters=[dict(node.parameters)],
+            respawn=True,
+            respawn_delay=1.0,
+        )
+        for plan in plan_fleet(content, base, output)
+        for node in plan.nodes
+    ]
+
+
+def one_camera_nodes() -> list[Node]:
+    """The nodes of one camera, by the launch arguments."""
     share = FindPackageShare(PACKAGE)
     camera_id = LaunchConfiguration("camera_id")
     source = LaunchConfiguration("source")
@@ -33,22 +97,7 @@ def generate_launch_description() -> LaunchDescription:
     from_bag = NotEqualsSubstitution(bag, "")
     sim_time = {"use_sim_time": ParameterValue(from_bag, value_type=bool)}
 
-    arguments = [
-        DeclareLaunchArgument("camera_id", description="Namespace of the camera."),
-        DeclareLaunchArgument("calibration", description="Control points, a CSV file."),
-        DeclareLaunchArgument("source", default_value="", description="Video, address or images."),
-        DeclareLaunchArgument("model", default_value="", description="YOLO model, an ONNX file."),
-        DeclareLaunchArgument("bag", default_value="", description="Play this; empty: live."),
-        DeclareLaunchArgument("rate", default_value="1.0", description="Speed of the bag."),
-        DeclareLaunchArgument("database", default_value="", description="Record into this file."),
-        DeclareLaunchArgument("rviz", default_value="false", description="Show it in RViz."),
-        DeclareLaunchArgument(
-            "params_file",
-            default_value=PathJoinSubstitution([share, "params", "one_camera.yaml"]),
-            description="Parameters of the nodes.",
-        ),
-    ]
-    nodes = [
+    return [
         Node(
             package=PACKAGE,
             executable="camera",
@@ -112,4 +161,3 @@ def generate_launch_description() -> LaunchDescription:
             condition=IfCondition(LaunchConfiguration("rviz")),
         ),
     ]
-    return LaunchDescription([*arguments, *nodes])

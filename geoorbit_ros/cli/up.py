@@ -46,7 +46,7 @@ def up(
     from geoorbit_ros.cli.console import console, status
     from geoorbit_ros.cli.interrupt import told_to_end
     from geoorbit_ros.fleet.fleet_file import load_fleet
-    from geoorbit_ros.fleet.plan import plan_fleet, select
+    from geoorbit_ros.fleet.plan import make_folders, plan_fleet, select
     from geoorbit_ros.fleet.sources import ask_sources
     from geoorbit_ros.fleet.supervisor import Supervisor
 
@@ -60,8 +60,7 @@ def up(
     chosen = {plan.name for plan in plans}
     with status("looking at the cameras"):
         content = ask_sources(content, base, folder, chosen)
-    if content.recorder:
-        (folder / content.recorder.folder).mkdir(parents=True, exist_ok=True)
+    make_folders(content, folder)
     plans = select(plan_fleet(content, base, folder), only or [])
     began = time.monotonic()
 

@@ -143,6 +143,12 @@ def camera_nodes(camera: Camera, fleet: Fleet, base: Path, output: Path) -> Iter
         yield NodePlan(executable, camera.id, merged)
 
 
+def make_folders(fleet: Fleet, output: Path) -> None:
+    """Make the folders that nodes write into but don't make themselves."""
+    if fleet.recorder and fleet.recorder.enabled:
+        (output / fleet.recorder.folder).mkdir(parents=True, exist_ok=True)
+
+
 def expected_nodes(fleet: Fleet) -> dict[str, list[str]]:
     """Executables that a running fleet shows, by camera id; `""` for those without a namespace."""
     plans = plan_nodes(fleet, Path(), Path())

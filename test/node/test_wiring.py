@@ -15,6 +15,8 @@ from probe import LOSSLESS, Probe
 from rclpy.expand_topic_name import expand_topic_name
 from std_srvs.srv import Trigger
 
+from geoorbit_ros.fleet.fleet_file import load_fleet
+from geoorbit_ros.fleet.plan import plan_fleet
 from geoorbit_ros.nodes.bag_player import BagPlayerNode
 from geoorbit_ros.nodes.camera import CameraNode
 from geoorbit_ros.nodes.composition import Composition
@@ -88,8 +90,8 @@ class Recorded:
 
 
 @pytest.fixture
-def launched(monkeypatch: pytest.MonkeyPatch) -> list[Recorded]:
-    """The entities of the launch description; launch itself has no wheel."""
+def launch_file(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The launch file as a module; launch itself has no wheel."""
     for name in (
         "launch",
         "launch.actions",
@@ -107,8 +109,14 @@ def launched(monkeypatch: pytest.MonkeyPatch) -> list[Recorded]:
     assert spec and spec.loader
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    entities: list[Recorded] = module.generate_launch_description().arguments[0]
-    return entities
+    return module
+
+
+@pytest.fixture
+def launched(launch_file: ModuleType) -> list[Recorded]:
+    """The entities of the launch description, those of one camera among them."""
+    entities: list[Recorded] = launch_file.generate_launch_description().arguments[0]
+    return entities + list(launch_file.one_camera_nodes())
 
 
 def of_kind(entities: list[Recorded], kind: str) -> list[Recorded]:
@@ -132,6 +140,24 @@ def test_the_launch_file_declares_what_it_uses_and_uses_what_it_declares(
     text = (ROOT / "launch" / "geoorbit.launch.py").read_text()
     used = set(re.findall(r'LaunchConfiguration\("(\w+)"\)', text))
     assert used == declared
+
+
+def test_launch_makes_the_graph_of_geoorbit_up_from_the_same_file(
+    launch_file: ModuleType, camera: MadeUpCamera, tmp_path: Path
+) -> None:
+    file = tmp_path / "fleet.yaml"
+    file.write_text(
+        f"name: pair\ncameras:\n  - id: north\n    source: bag:{camera.bag}\n"
+        f"    calibration: {camera.calibration}\nrecorder: {{}}\nviewer: {{}}\n"
+    )
+    launched = launch_file.fleet_nodes(str(file), str(tmp_path / "out"))
+    fleet, _ = load_fleet(file)
+    planned = [n for plan in plan_fleet(fleet, tmp_path, tmp_path / "out") for n in plan.nodes]
+    assert [(n.named["executable"], n.named["namespace"]) for n in launched] == [
+        (node.executable, node.namespace) for node in planned
+    ]
+    assert [n.named["parameters"] for n in launched] == [[dict(n.parameters)] for n in planned]
+    assert (tmp_path / "out" / "recordings").is_dir()
 
 
 def test_the_layout_and_the_sample_parameters_that_are_launched_exist(
