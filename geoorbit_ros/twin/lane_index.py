@@ -10,9 +10,9 @@ from scipy.spatial import cKDTree
 
 from geoorbit_ros.twin.network import NONE, RoadNetwork
 
-PIECE_M = 6.0
+PIECE_M = 8.0
 """Lanes are searched in pieces of this length: longer ones need a wider search."""
-NEIGHBOURS = 14
+NEIGHBOURS = 10
 """Pieces looked at per point: with lanes of 3 m, those of the lane and of two on either side."""
 CANDIDATES = 5
 RADIUS_M = 7.0

@@ -50,11 +50,10 @@ def walk(
         else:
             ends = [walk(network, c, arc_m, 0.0, towards).xy for c in choice]
             lane = choice[int(np.argmin([np.hypot(*(end - towards)) for end in ends]))]
-    line = network.line(lane)
-    step = np.diff(line, axis=0)
-    arc = np.append(0.0, np.cumsum(np.hypot(step[:, 0], step[:, 1])))
-    k = int(np.clip(np.searchsorted(arc, arc_m, side="right") - 1, 0, len(step) - 1))
-    unit = step[k] / max(arc[k + 1] - arc[k], 1e-9)
+    line, arc = network.line(lane), network.arc(lane)
+    k = min(max(int(np.searchsorted(arc, arc_m, side="right")) - 1, 0), len(line) - 2)
+    step = line[k + 1] - line[k]
+    unit = step / max(float(np.hypot(*step)), 1e-9)
     xy = line[k] + (arc_m - arc[k]) * unit + offset_m * np.array([-unit[1], unit[0]])
     heading = float(np.arctan2(unit[1], unit[0]))
     return LanePlace(lane, arc_m, xy, heading, bool(arc_m > network.length_m[lane]))

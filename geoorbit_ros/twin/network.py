@@ -63,9 +63,19 @@ class RoadNetwork:
     def __len__(self) -> int:
         return len(self.lane_id)
 
+    def arc(self, lane: int) -> NDArray[np.float64]:
+        """(K,) distance of each point of a lane from its beginning, along the lane; a view."""
+        return self._arc_m[self.start[lane] : self.start[lane + 1]]
+
     def line(self, lane: int) -> NDArray[np.float64]:
         """(K, 2) centre line of one lane, a view."""
         return self.point_m[self.start[lane] : self.start[lane + 1]]
+
+    @cached_property
+    def _arc_m(self) -> NDArray[np.float64]:
+        step = np.hypot(*np.diff(self.point_m, axis=0).T)
+        arc = np.append(0.0, np.cumsum(step))
+        return np.asarray(arc - np.repeat(arc[self.start[:-1]], np.diff(self.start)))
 
     @cached_property
     def number(self) -> dict[str, int]:

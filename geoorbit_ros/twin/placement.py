@@ -107,7 +107,7 @@ class Placement:
         self._enter_and_resize(slots, names)
         rows = table[slots]
         front = rows["xy"] + _bumper(rows["course"], rows["sim_length"])
-        lane = self._front_lanes(rows, front)
+        lane, arc_m = self._front_lanes(rows, front)
         plane, network = self._network.plane, self._network
         turn = plane.to_network.turn_rad(front)
         safe = np.maximum(lane, 0)
@@ -115,6 +115,7 @@ class Placement:
             names,
             [network.edge_id[k] if k != NONE else "" for k in lane.tolist()],
             np.where(lane == NONE, 0, network.index[safe]),
+            arc_m / network.length_m[safe],
             plane.to_network.points(front),
             np.degrees(0.5 * np.pi - rows["course"] - turn) % 360.0,
             np.abs(rows["offset"]) + REACH_M,
@@ -139,15 +140,20 @@ class Placement:
             for name in ("kind", "length", "width"):
                 table[f"sim_{name}"][slot] = row[name]
 
-    def _front_lanes(self, rows: NDArray[np.void], front: NDArray[np.float64]) -> NDArray[np.int64]:
-        """(M,) lanes of the front bumpers: one on where over an end, `NONE` where none is on."""
+    def _front_lanes(
+        self, rows: NDArray[np.void], front: NDArray[np.float64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Lanes of the front bumpers, and places along them (M,).
+
+        The next lane where the front is over an end, `NONE` where none comes next.
+        """
         lane = rows["lane"].copy()
         ahead = rows["arc"] + 0.5 * rows["sim_length"]
         over = (lane != NONE) & (ahead > self._network.length_m[np.maximum(lane, 0)])
         for k in np.flatnonzero(over).tolist():
             place = walk(self._network, int(lane[k]), float(ahead[k]), 0.0, front[k])
-            lane[k] = NONE if place.ended else place.lane
-        return np.asarray(lane)
+            lane[k], ahead[k] = (NONE if place.ended else place.lane), place.arc_m
+        return np.asarray(lane, dtype=np.int64), ahead
 
     def _read(
         self,

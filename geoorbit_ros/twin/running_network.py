@@ -1,64 +1,183 @@
-"""The network as the running simulation gets it: the same lanes, fewer points.
+"""The network as the running simulation gets it: the same lanes, fewer points, shorter pieces.
 
-`moveToXY` walks along the whole shape of every lane near the vehicle, several times. A motorway of
-400 m drawn every 2 m costs 260 µs per vehicle and step, with points to the centimetre 9 µs
-(docs/adr/0017-running-network.md).
+`moveToXY` walks along the whole shape of every lane near the vehicle, several times: on a motorway
+drawn every 2 m it costs 260 µs per vehicle and step. So shapes are thinned to the centimetre, and
+edges that still have many points are cut into pieces joined end to end
+(docs/adr/0017-running-network.md). Pieces are named `<edge>~1`, `<edge>~2`, …; nobody outside of
+`simulation.py` sees those names.
 """
 
 from __future__ import annotations
 
+from bisect import bisect_right
+from collections.abc import Iterator
+from copy import deepcopy
+from dataclasses import dataclass
 from pathlib import Path
+from xml.etree import ElementTree as Xml
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.twin.network_file import parse_xml
+from geoorbit_ros.twin.thinning import thin
 
 TOLERANCE_M = 0.01
 """No lane moves by more; netconvert writes coordinates to the same precision."""
+MAX_POINTS = 8
+"""A lane with more is cut: the costs of a piece and of finding it are then about the same."""
+MARK = "~"
 
 
-def write_running_network(path: Path, out: Path, tolerance_m: float = TOLERANCE_M) -> None:
-    """Write a copy of a network with as few shape points as `tolerance_m` allows.
+@dataclass(frozen=True)
+class RunningNetwork:
+    """How the running network differs from the file.
 
-    Ids, lengths and connections stay. Raises RoadNetworkError for a file that can't be read.
+    Attributes:
+        cuts: For each edge that was cut, the shares of its length at which its pieces begin, the
+            first being 0.
+    """
+
+    cuts: dict[str, tuple[float, ...]]
+
+    def piece(self, edge: str, share: float) -> str:
+        """The piece of an edge at a share of its length."""
+        begins = self.cuts.get(edge)
+        return edge if begins is None else f"{edge}{MARK}{max(bisect_right(begins, share), 1)}"
+
+    def pieces(self, edge: str) -> list[str]:
+        """All pieces of an edge, in travel order."""
+        count = len(self.cuts.get(edge, ()))
+        return [f"{edge}{MARK}{k + 1}" for k in range(count)] or [edge]
+
+    def lane_of_file(self, lane: str) -> str:
+        """The lane's id in the file, of a lane of a piece."""
+        if MARK not in lane:
+            return lane
+        edge, _, rest = lane.rpartition(MARK)
+        return f"{edge}_{rest.rpartition('_')[2]}" if edge in self.cuts else lane
+
+
+def write_running_network(path: Path, out: Path) -> RunningNetwork:
+    """Write the copy of a network that is simulated.
+
+    Raises:
+        RoadNetworkError: The file can't be read.
     """
     tree = parse_xml(path)
-    for element in tree.getroot().iter():
+    root = tree.getroot()
+    for element in root.iter():
         shape = element.get("shape")
         if shape and element.tag in ("lane", "edge"):
-            element.set("shape", _thinned(shape, tolerance_m))
+            words = shape.split()
+            kept = thin(_points(words), TOLERANCE_M)
+            element.set("shape", " ".join(words[k] for k in kept))
+    cuts: dict[str, tuple[float, ...]] = {}
+    whole = set(_edges_to_leave(root))
+    for place, edge in reversed(list(enumerate(root))):
+        if edge.tag == "edge" and edge.get("function", "normal") == "normal":
+            count = _piece_count(edge)
+            if count > 1 and edge.attrib["id"] not in whole:
+                cuts[edge.attrib["id"]] = tuple(np.arange(count) / count)
+                root[place : place + 1] = _cut(root, edge, count)
+    _rename_ends(root, cuts)
     tree.write(out, encoding="utf-8", xml_declaration=True)
+    return RunningNetwork(cuts)
 
 
-def _thinned(shape: str, tolerance_m: float) -> str:
-    words = shape.split()
-    if len(words) < 3:
-        return shape
-    points = np.array([[float(v) for v in word.split(",")[:2]] for word in words])
-    return " ".join(words[k] for k in thin(points, tolerance_m))
+def _edges_to_leave(root: Xml.Element) -> Iterator[str]:
+    """Edges that others refer to in ways that pieces would break."""
+    for edge in root.iter("edge"):
+        if edge.get("bidi"):
+            yield edge.attrib["id"]
+        yield from edge.get("crossingEdges", "").split()
+    for ring in root.iter("roundabout"):
+        yield from ring.get("edges", "").split()
 
 
-def thin(line: NDArray[np.float64], tolerance_m: float) -> list[int]:
-    """Points of a line (K, 2) to keep, first and last included (Douglas and Peucker 1973)."""
-    kept, waiting = [0, len(line) - 1], [(0, len(line) - 1)]
-    while waiting:
-        a, b = waiting.pop()
-        if b <= a + 1:
-            continue
-        chord, rest = line[b] - line[a], line[a + 1 : b] - line[a]
-        length = float(np.hypot(*chord))
-        if length > 0.0:
-            away = np.abs(chord[0] * rest[:, 1] - chord[1] * rest[:, 0]) / length
-            # Beyond the chord's ends the distance is that to the end.
-            along = rest @ chord / length
-            beyond = np.maximum(np.maximum(-along, along - length), 0.0)
-            away = np.hypot(away, beyond)
-        else:
-            away = np.hypot(rest[:, 0], rest[:, 1])
-        farthest = int(np.argmax(away))
-        if away[farthest] > tolerance_m:
-            k = a + 1 + farthest
-            kept.append(k)
-            waiting += [(a, k), (k, b)]
-    return sorted(kept)
+def _piece_count(edge: Xml.Element) -> int:
+    counts = [len(lane.get("shape", "").split()) for lane in edge.iter("lane")]
+    return -(-max(counts, default=0) // MAX_POINTS)
+
+
+def _cut(root: Xml.Element, edge: Xml.Element, count: int) -> list[Xml.Element]:
+    """The pieces of an edge; their junctions and connections are added to the network."""
+    name, lanes = edge.attrib["id"], [lane.attrib["index"] for lane in edge.iter("lane")]
+    pieces = []
+    for k in range(1, count + 1):
+        piece = deepcopy(edge)
+        piece.set("id", f"{name}{MARK}{k}")
+        piece.attrib.pop("shape", None)
+        if k > 1:
+            piece.set("from", f"{name}{MARK}{k}")
+        if k < count:
+            piece.set("to", f"{name}{MARK}{k + 1}")
+        for lane in piece.iter("lane"):
+            lane.set("id", f"{name}{MARK}{k}_{lane.attrib['index']}")
+            lane.set("length", f"{float(lane.attrib['length']) / count:.3f}")
+            part = _part(_points(lane.attrib["shape"].split()), (k - 1) / count, k / count)
+            lane.set("shape", " ".join(f"{x:.3f},{y:.3f}" for x, y in part))
+        pieces.append(piece)
+        if k > 1:
+            _join(root, f"{name}{MARK}{k - 1}", piece, lanes)
+    return pieces
+
+
+def _join(root: Xml.Element, before: str, piece: Xml.Element, lanes: list[str]) -> None:
+    """A junction without internal lanes where a piece begins: every lane goes straight on."""
+    name = piece.attrib["id"]
+    starts = [lane.attrib["shape"].split()[0] for lane in piece.iter("lane")]
+    x, y = starts[0].split(",")
+    junction = Xml.SubElement(
+        root,
+        "junction",
+        id=name,
+        type="priority",
+        x=x,
+        y=y,
+        incLanes=" ".join(f"{before}_{index}" for index in lanes),
+        intLanes="",
+        shape=f"{starts[0]} {starts[-1]}",
+    )
+    for number, index in enumerate(lanes):
+        none = "0" * len(lanes)
+        Xml.SubElement(junction, "request", index=str(number), response=none, foes=none, cont="0")
+        Xml.SubElement(
+            root,
+            "connection",
+            {"from": before, "to": name},
+            fromLane=index,
+            toLane=index,
+            dir="s",
+            state="M",
+        )
+
+
+def _rename_ends(root: Xml.Element, cuts: dict[str, tuple[float, ...]]) -> None:
+    """Connections and junctions of the file refer to the first or the last piece."""
+    for connection in root.iter("connection"):
+        source, target = connection.get("from", ""), connection.get("to", "")
+        if source in cuts:
+            connection.set("from", f"{source}{MARK}{len(cuts[source])}")
+        if target in cuts:
+            connection.set("to", f"{target}{MARK}1")
+    for junction in root.iter("junction"):
+        names = junction.get("incLanes", "").split()
+        for k, lane in enumerate(names):
+            edge, _, index = lane.rpartition("_")
+            if edge in cuts:
+                names[k] = f"{edge}{MARK}{len(cuts[edge])}_{index}"
+        junction.set("incLanes", " ".join(names))
+
+
+def _part(line: NDArray[np.float64], begin: float, end: float) -> NDArray[np.float64]:
+    """The part of a line (K, 2) between two shares of its length."""
+    arc = np.append(0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T)))
+    low, high = begin * arc[-1], end * arc[-1]
+    within = (arc > low + 1e-3) & (arc < high - 1e-3)
+    ends = np.column_stack([np.interp([low, high], arc, line[:, k]) for k in range(2)])
+    return np.concatenate([ends[:1], line[within], ends[1:]])
+
+
+def _points(words: list[str]) -> NDArray[np.float64]:
+    return np.array([[float(v) for v in word.split(",")[:2]] for word in words])

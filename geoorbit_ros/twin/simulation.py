@@ -59,6 +59,7 @@ class Moves:
         name: SUMO's vehicle ids.
         edge: Edge of each.
         lane: (M,) lane index in the edge.
+        share: (M,) place along the lane, as a share of its length.
         xy: (M, 2) middle of the front bumper.
         angle_deg: (M,) clockwise from north.
         reach_m: (M,) how far the lane may be away.
@@ -67,6 +68,7 @@ class Moves:
     name: Sequence[str]
     edge: Sequence[str]
     lane: NDArray[np.int64]
+    share: NDArray[np.float64]
     xy: NDArray[np.float64]
     angle_deg: NDArray[np.float64]
     reach_m: NDArray[np.float64]
@@ -127,6 +129,7 @@ class SumoSimulation:
 
     Attributes:
         pid: Process id of the program; None in process.
+        running: How the simulated network's edges are called.
 
     Raises:
         SimulationError: SUMO is not there, refuses the network, or a second one in this process.
@@ -149,7 +152,7 @@ class SumoSimulation:
         self._fatal: tuple[type[Exception], ...] = ()
         try:
             net, types = self._folder / "twin.net.xml", self._folder / "twin.add.xml"
-            write_running_network(network, net)
+            self.running = write_running_network(network, net)
             write_types(types)
             arguments = [f"--net-file={net}", f"--additional-files={types}", *_OPTIONS]
             arguments += [f"--step-length={step_s:g}", *options]
@@ -199,7 +202,7 @@ class SumoSimulation:
         place = self._vehicle.moveToXY
         rows = zip(
             moves.name,
-            moves.edge,
+            map(self.running.piece, moves.edge, moves.share.tolist()),
             moves.lane.tolist(),
             *moves.xy.T.tolist(),
             moves.angle_deg.tolist(),
@@ -220,11 +223,17 @@ class SumoSimulation:
         v = self._vehicle
         with self._watched():
             there = set(v.getIDList())
-            missing = (float("nan"), float("nan"))
-            xy = [v.getPosition(n) if n in there else missing for n in names]
-            angle = [v.getAngle(n) if n in there else missing[0] for n in names]
-            lane = [v.getLaneID(n) if n in there else "" for n in names]
-        return States(np.array(xy).reshape(-1, 2), np.array(angle, dtype=np.float64), lane)
+            known = [name for name in names if name in there]
+            xy = [v.getPosition(name) for name in known]
+            angle = [v.getAngle(name) for name in known]
+            lane = [self.running.lane_of_file(v.getLaneID(name)) for name in known]
+        if len(known) == len(names):
+            return States(np.array(xy).reshape(-1, 2), np.array(angle, dtype=np.float64), lane)
+        found = States(np.full((len(names), 2), np.nan), np.full(len(names), np.nan), [])
+        at = np.flatnonzero([name in there for name in names])
+        found.xy[at], found.angle_deg[at] = np.array(xy).reshape(-1, 2), angle
+        lanes = dict(zip(known, lane, strict=True))
+        return States(found.xy, found.angle_deg, [lanes.get(name, "") for name in names])
 
     def close(self) -> None:
         """End the simulation; a program that does not end is killed."""
