@@ -54,7 +54,7 @@ def train(
     searched once, then the model learns to predict these from the scene: with all data in one place
     (central) and through the federated server and its wire format (federated).
 
-    Example: [bold]geoorbit train params/fleets/learning_small.yaml --rounds 20 --out study[/bold],
+    Example: [bold]geoorbit train params/studies/small.yaml --rounds 20 --out study[/bold],
     then [bold]geoorbit evaluate --out study[/bold]
     """
     from geoorbit_ros.cli.console import console, make_table

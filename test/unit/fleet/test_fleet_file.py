@@ -1,12 +1,14 @@
 """Fleet files: what is right is read, what is wrong is said in one sentence with its place."""
 
+import json
 from pathlib import Path
 
 import pytest
 import yaml
 
 from geoorbit_ros.core.errors import InputFileError
-from geoorbit_ros.fleet.fleet_file import CAMERA_NODES, load_fleet
+from geoorbit_ros.core.resources import share_path
+from geoorbit_ros.fleet.fleet_file import CAMERA_NODES, Fleet, load_fleet, shipped_fleets
 from geoorbit_ros.fleet.plan import (
     FleetPlanError,
     ProcessPlan,
@@ -187,3 +189,14 @@ def test_a_plan_survives_the_way_to_its_process(tmp_path: Path) -> None:
 
 def test_the_good_file_of_these_tests_is_yaml() -> None:
     assert yaml.safe_load(GOOD)["name"] == "crossing"
+
+
+def test_the_schema_for_editors_is_up_to_date() -> None:
+    shipped = json.loads(share_path("params/fleets/fleet.schema.json").read_text())
+    assert shipped == Fleet.model_json_schema(), "run docs/make_fleet_schema.py"
+
+
+@pytest.mark.parametrize("name", shipped_fleets())
+def test_shipped_fleets_are_right_and_their_files_are_there(name: str, tmp_path: Path) -> None:
+    fleet, file = load_fleet(name)
+    assert plan_fleet(fleet, file.parent, tmp_path)
