@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from concurrent.futures import Executor, Future
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from geoorbit_ros.federated.theta import ThetaPayload
 from geoorbit_ros.learning.camera_task import CameraTask
 from geoorbit_ros.learning.features import FEATURE_NAMES, scene_features
 from geoorbit_ros.learning.meta_learner import MetaLearner
+from geoorbit_ros.learning.model_file import load_model
 from geoorbit_ros.learning.parameter_space import PARAMETER_NAMES
 
 INTERFACE = interface_digest(FEATURE_NAMES, PARAMETER_NAMES)
@@ -40,6 +42,7 @@ class CameraSession:
 
     Attributes:
         reference: Reference lanes by number, from the map.
+        learner: Predicts until the server's model comes; None: nothing does.
         observations: How many were completed.
         trained: Rounds that were trained for.
     """
@@ -56,6 +59,7 @@ class CameraSession:
         self._estimator, self._executor = estimator, executor
         self._length_ns = round(observation_s * 1e9)
         self.reference: dict[int, Lane] = {}
+        self.learner: MetaLearner | None = None
         self.observations = self.trained = 0
         self.restart()
         self._tracks: Frames | None = None
@@ -130,14 +134,15 @@ class CameraSession:
     def theta(self) -> bytes | None:
         """The payload with theta for the newest model and observation; None when it is known."""
         tensors, features = self.client.tensors, self._features
-        if tensors is None or features is None:
+        learner = MetaLearner.from_tensors(tensors) if tensors else self.learner
+        if learner is None or features is None:
             return None
         run, number, model = self.client.model_of
         state = (model, id(features))
         if self._predicted == state:
             return None
         self._predicted = state
-        values: Mapping[str, float] = _values(MetaLearner.from_tensors(tensors), features)
+        values: Mapping[str, float] = _values(learner, features)
         theta = ThetaPayload(self.client.camera_id, run, number, model, values)
         return self._signer.seal(theta.unsigned())
 
@@ -156,6 +161,15 @@ class CameraSession:
         self._best = (made_of[0], lesson.best_theta)
         self.trained += 1
         return self.client.finish(work, lesson.result)
+
+
+def starting_learner(model_file: str, seed: int) -> MetaLearner:
+    """The learner in a file, or without one an untrained learner, which predicts the defaults.
+
+    Raises:
+        InputFileError: A file that holds none.
+    """
+    return load_model(Path(model_file)) if model_file else MetaLearner.untrained(seed)
 
 
 def _values(learner: MetaLearner, features: NDArray[np.float64]) -> Mapping[str, float]:

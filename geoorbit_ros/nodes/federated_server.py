@@ -12,12 +12,13 @@ from pathlib import Path
 from rclpy.clock import Clock, ClockType
 from std_msgs.msg import String
 
-from geoorbit_ros.federated.camera_session import INTERFACE
+from geoorbit_ros.federated.camera_session import INTERFACE, starting_learner
+from geoorbit_ros.federated.envelope import schema_of
 from geoorbit_ros.federated.keys import Roster, Signer, read_private_key
+from geoorbit_ros.federated.secure_aggregation.message import SCHEMA as SECURE
 from geoorbit_ros.federated.server import FederatedServer
 from geoorbit_ros.federated.server_config import ServerConfig
 from geoorbit_ros.federated.strategies.factory import StrategySettings, make_strategy
-from geoorbit_ros.learning.meta_learner import MetaLearner
 from geoorbit_ros.nodes.base import GeoOrbitNode
 from geoorbit_ros.nodes.byte_topic import (
     PayloadPublisher,
@@ -39,6 +40,7 @@ class FederatedServerParameters:
     roster: str
     key_file: str
     checkpoint: str
+    model_file: str
     strategy: str
     server_learning_rate: float
     momentum: float
@@ -89,7 +91,7 @@ class FederatedServerNode(GeoOrbitNode[FederatedServerParameters]):
         private = read_private_key(self.p.key_file) if self.p.key_file else None
         self.server = FederatedServer(
             self.p.config(run=int(time.time())),
-            MetaLearner.untrained(self.p.seed).tensors(),
+            starting_learner(self.p.model_file, self.p.seed).tensors(),
             Roster.read(self.p.roster),
             make_strategy(self.p.strategy, self.p.settings()),
             Signer(private, self.p.federation),
@@ -97,6 +99,7 @@ class FederatedServerNode(GeoOrbitNode[FederatedServerParameters]):
         )
         depth = self.p.keyframe_interval
         self._models = PayloadPublisher(self, "/federated/global_model", model_qos(depth))
+        self._steps = PayloadPublisher(self, "/federated/secure_aggregation", updates_qos())
         self._status = self.create_publisher(String, "/federated/status", LATCHED)
         subscribe_payloads(self, "/federated/client_update", updates_qos(), self._on_update)
         self.create_timer(PERIOD_S, self._on_time, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -133,7 +136,7 @@ class FederatedServerNode(GeoOrbitNode[FederatedServerParameters]):
     def _send(self, payload: bytes | None) -> None:
         if payload is None:
             return
-        self._models.publish(payload)
+        (self._steps if schema_of(payload) == SECURE else self._models).publish(payload)
         history = [asdict(record) for record in self.server.history[-1:]]
         self._status.publish(String(data=json.dumps(self._facts() | {"last_round": history})))
 

@@ -14,10 +14,12 @@ from rclpy.clock import Clock, ClockType
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.tables import TRACK_DTYPE
+from geoorbit_ros.federated.camera_learning import end_with_parent
 from geoorbit_ros.federated.camera_session import INTERFACE, CameraSession
 from geoorbit_ros.federated.client import FederatedClient
 from geoorbit_ros.federated.encodings.factory import make_encoding
 from geoorbit_ros.federated.keys import Signer, public_key, read_private_key
+from geoorbit_ros.learning.model_file import load_model
 from geoorbit_ros.nodes.base import GeoOrbitNode
 from geoorbit_ros.nodes.byte_topic import (
     PayloadPublisher,
@@ -42,6 +44,7 @@ class MetaClientParameters:
     key_file: str
     server_key: str
     state_file: str
+    model_file: str
     estimator: str
     observation_s: float
     encoding: str
@@ -79,16 +82,20 @@ class MetaClientNode(GeoOrbitNode[MetaClientParameters]):
         )
         # Spawned: a fork would copy the middleware's threads in whatever state they are.
         context = multiprocessing.get_context("spawn")
-        self._workers = ProcessPoolExecutor(1, mp_context=context)
+        self._workers = ProcessPoolExecutor(1, context, end_with_parent)
         self.session = CameraSession(
             self.client, signer, p.estimator, p.observation_s, self._workers
         )
+        if p.model_file:
+            self.session.learner = load_model(Path(p.model_file))
+        self._outbox = b""
         self._theta = PayloadPublisher(self, "lane_parameters", LATCHED)
         self._updates = PayloadPublisher(self, "/federated/client_update", updates_qos())
         TableStream(self, "tracks", TRACK_DTYPE, p, self.session.add, self.session.restart)
         ReferenceListener(self, self._on_reference)
         models = model_qos(p.model_history)
         subscribe_payloads(self, "/federated/global_model", models, self.session.receive)
+        subscribe_payloads(self, "/federated/secure_aggregation", updates_qos(), self._on_step)
         self.create_timer(PERIOD_S, self._on_time, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def diagnostic_values(self) -> Mapping[str, object]:
@@ -113,18 +120,23 @@ class MetaClientNode(GeoOrbitNode[MetaClientParameters]):
             process.kill()
         self._workers.shutdown(wait=False, cancel_futures=True)
 
+    def _on_step(self, payload: bytes) -> None:
+        if step := self.client.assist(payload):
+            self._updates.publish(step)
+
     def _on_reference(self, lanes: dict[int, Lane]) -> None:
         self.session.reference = lanes
 
     def _on_time(self) -> None:
         try:
-            update = self.session.poll()
+            self._outbox = self.session.poll() or self._outbox
+            theta = self.session.theta()
         except GeoOrbitError as error:
             self.diagnostics.refuse(error)
             return
-        if update is not None and self._updates.subscribers:
-            self._updates.publish(update)
-        theta = self.session.theta()
+        if self._outbox and self._updates.subscribers:  # else it would go to nobody
+            self._updates.publish(self._outbox)
+            self._outbox = b""
         if theta is not None:
             self._theta.publish(theta)
 

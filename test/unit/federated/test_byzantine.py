@@ -104,4 +104,4 @@ def test_robust_strategies_end_where_the_clean_run_ends(
 
 @pytest.mark.parametrize("attack", ["huge", "sign_flipped", "colluding"])
 def test_a_plain_mean_does_not(attack: str, clean: dict[str, float]) -> None:
-    assert final_loss("fedavg", ATTACKS[attack]) > 1.5 * clean["fedavg"]
+    assert final_loss("fedavg", ATTACKS[attack]) > 1.25 * clean["fedavg"]
