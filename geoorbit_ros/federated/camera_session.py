@@ -25,12 +25,14 @@ from geoorbit_ros.learning.parameter_space import PARAMETER_NAMES
 
 INTERFACE = interface_digest(FEATURE_NAMES, PARAMETER_NAMES)
 """What both sides must agree on: the meta-learner's inputs and outputs."""
+SETTLE_S = 2.0
 
 
 class CameraSession:
     """Ties a client to its camera's tracks and reference lanes.
 
-    Every `observation_s` of tracks make an observation; the newest counts. A round is worked on in
+    Every `observation_s` of tracks make an observation; the newest counts. Reference lanes arrive
+    one by one, and so count once they have not changed for `SETTLE_S`. A round is worked on in
     `executor`, one at a time; a newer round replaces one that waits.
 
     Args:
@@ -59,6 +61,7 @@ class CameraSession:
         self._estimator, self._executor = estimator, executor
         self._length_ns = round(observation_s * 1e9)
         self.reference: dict[int, Lane] = {}
+        self._settled_s = 0.0
         self.learner: MetaLearner | None = None
         self.observations = self.trained = 0
         self.restart()
@@ -86,6 +89,10 @@ class CameraSession:
         self.observations += 1
         self.restart()
 
+    def refer(self, lanes: Mapping[int, Lane], now_s: float) -> None:
+        """Take all reference lanes by number, at this time of a clock that does not go back."""
+        self.reference, self._settled_s = dict(lanes), now_s + SETTLE_S
+
     def receive(self, payload: bytes) -> None:
         """Take what the server announced.
 
@@ -104,8 +111,24 @@ class CameraSession:
             return "tracks"
         return "" if self.reference else "reference lanes"
 
-    def poll(self) -> bytes | None:
-        """Go on with what is due; an update to send, or None.
+    def facts(self) -> dict[str, object]:
+        """What it has and what it waits for, for people to read."""
+        run, number, _ = self.client.model_of
+        refused = self.client.refused.items()
+        return {
+            "run": run,
+            "round": number,
+            "answered": self.client.answered,
+            "finished": self.client.finished,
+            "observations": self.observations,
+            "reference_lanes": len(self.reference),
+            "trained": self.trained,
+            "waits_for": self.waits_for,
+            **{f"refused_{reason.replace(' ', '_')}": count for reason, count in refused},
+        }
+
+    def poll(self, now_s: float) -> bytes | None:
+        """Go on with what is due at this time; an update to send, or None.
 
         Raises:
             GeoOrbitError: Training failed.
@@ -116,7 +139,9 @@ class CameraSession:
         if work is not None and work.ready:
             self._work = None
             return work.ready
-        if work is None or self._tracks is None or self._features is None or not self.reference:
+        if work is None or self._tracks is None or self._features is None:
+            return None
+        if not self.reference or now_s < self._settled_s:
             return None
         self._work = None
         lanes = tuple(self.reference[number] for number in sorted(self.reference))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import sys
+import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -100,19 +101,7 @@ class MetaClientNode(GeoOrbitNode[MetaClientParameters]):
 
     def diagnostic_values(self) -> Mapping[str, object]:
         """What it has and what it waits for."""
-        run, number, _ = self.client.model_of
-        return {
-            "run": run,
-            "round": number,
-            "answered": self.client.answered,
-            "finished": self.client.finished,
-            "observations": self.session.observations,
-            "reference_lanes": len(self.session.reference),
-            "trained": self.session.trained,
-            "waits_for": self.session.waits_for,
-            "sent_bytes": self._updates.sent_bytes,
-            **{f"refused_{r.replace(' ', '_')}": n for r, n in self.client.refused.items()},
-        }
+        return {**self.session.facts(), "sent_bytes": self._updates.sent_bytes}
 
     def close(self) -> None:
         """Leave training where it is: the round is announced again to whoever comes back."""
@@ -125,11 +114,11 @@ class MetaClientNode(GeoOrbitNode[MetaClientParameters]):
             self._updates.publish(step)
 
     def _on_reference(self, lanes: dict[int, Lane]) -> None:
-        self.session.reference = lanes
+        self.session.refer(lanes, time.monotonic())
 
     def _on_time(self) -> None:
         try:
-            self._outbox = self.session.poll() or self._outbox
+            self._outbox = self.session.poll(time.monotonic()) or self._outbox
             theta = self.session.theta()
         except GeoOrbitError as error:
             self.diagnostics.refuse(error)

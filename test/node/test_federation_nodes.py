@@ -247,9 +247,9 @@ def test_a_worker_that_fails_is_named_and_the_node_goes_on(
     nodes.make(FederatedServerNode, "/", {"roster": str(roster)})
     client = nodes.make(MetaClientNode, "north", LOSSLESS | {"observation_s": 1.0})
     client.session._executor = Broken()
-    client.session.reference = made_up_reference()
+    client.session.refer(made_up_reference(), -10.0)
     for stamp_ns, rows in made_up_tracks(1.0):
         client.session.add(stamp_ns, rows.astype(TRACK_DTYPE))
     nodes.wait(lambda: client.diagnostics.refused == 1, 20.0, "the failure")
     assert "no room" in str(client.diagnostics.last_refusal)
-    assert client.session.poll() is None
+    assert client.session.poll(0.0) is None
