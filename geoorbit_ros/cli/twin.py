@@ -157,3 +157,52 @@ def _print_score(score: ReplayScore) -> None:
         f"A step took {health.step_ms_median:.1f} ms (99 %: {health.step_ms_p99:.1f} ms): "
         f"{health.steps_per_s:.0f} steps per second."
     )
+
+
+@app.command("routes")
+def routes(
+    bags: BagsArgument,
+    net: NetOption,
+    out: Annotated[Path, typer.Option("--out", help="Folder for the files; must not exist.")],
+    calibration: CalibrationsOption,
+    image_size: ImageSizeOption = "1920x1080",
+    datum: DatumOption = None,
+) -> None:
+    """Write the recorded traffic as SUMO's own demand: routes and vehicle types.
+
+    Every vehicle departs when, where, in which lane and how fast it was first seen, and keeps to
+    the speed limits as it was seen to. Into the folder go traffic.rou.xml, traffic.add.xml and
+    traffic.sumocfg: [bold]sumo -c traffic.sumocfg[/bold] runs them.
+
+    Example: [bold]geoorbit twin routes north_bag --net area/network.net.xml
+    --calibration north.csv --out demand[/bold]
+    """
+    from geoorbit_ros.cli.console import console, say
+    from geoorbit_ros.cli.units import count_of
+    from geoorbit_ros.core.errors import NoTrafficError
+    from geoorbit_ros.storage.atomic import atomic_output
+    from geoorbit_ros.twin.network import load_network
+    from geoorbit_ros.twin.replay import STEP_S, replay_tracks
+    from geoorbit_ros.twin.routes import RouteWriter
+    from geoorbit_ros.twin.simulation import SumoSimulation
+
+    with atomic_output(out) as folder:
+        streams = open_streams(bags, calibration, image_size, datum)
+        network = load_network(net, streams[0].datum)
+        writer = RouteWriter(network)
+        simulation = SumoSimulation(net, STEP_S)
+        try:
+            score = replay_tracks(network, simulation, streams, writer.add)
+        finally:
+            simulation.close()
+        _check_traffic(score, str(net))
+        folder.mkdir()
+        counts = writer.write(folder, str(net.absolute()))
+        if not counts.written:
+            found = f"{score.vehicles} vehicles, none seen for long enough to know its speed"
+            raise NoTrafficError(str(net), found, "a longer recording")
+    say(
+        f"{count_of(counts.written, 'vehicle')} in the routes; left out: {counts.too_short} seen "
+        f"for less than 20 m, {counts.no_way} on edges without a way between them."
+    )
+    console.print(f" Wrote {out}", soft_wrap=True)

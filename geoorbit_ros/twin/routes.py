@@ -1,0 +1,205 @@
+"""The traffic that was seen as SUMO's own demand: route and type files that plain `sumo` runs."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree as Xml
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.metrics.polyline import project
+from geoorbit_ros.twin.network import NONE, RoadNetwork
+from geoorbit_ros.twin.placement import TwinStep
+from geoorbit_ros.twin.vehicle_types import TYPES, add_type
+
+ROUTES, TYPE_FILE, CONFIG = "traffic.rou.xml", "traffic.add.xml", "traffic.sumocfg"
+MIN_DRIVEN_M = 20.0
+"""Of a vehicle that was seen for less, neither lane nor speed are known: it may be no vehicle."""
+SPEED_FACTOR_BOUNDS = (0.2, 2.0)
+SPEED_S = 1.0
+"""A vehicle departs with its mean speed over this time."""
+MAX_EDGES = 50
+"""No camera misses more edges between two places that it sees."""
+
+
+@dataclass(slots=True)
+class _Seen:
+    """What is kept of a vehicle."""
+
+    begin_s: float
+    end_s: float
+    kind: int
+    length_m: float
+    lane: int
+    xy: NDArray[np.float64]
+    speed_mps: float
+    last_xy: NDArray[np.float64]
+    driven_m: float
+    limit_m: float
+    edges: list[str]
+
+
+@dataclass(frozen=True, slots=True)
+class RouteCounts:
+    """Vehicles written, and left out because they were seen too short or on no way."""
+
+    written: int
+    too_short: int
+    no_way: int
+
+
+class RouteWriter:
+    """Gathers the twin's steps, then writes the demand they show.
+
+    A vehicle departs when and where it entered the twin, in its lane, at its speed, and drives the
+    edges on which it was seen. Its `speedFactor` is its own mean speed over that of the limits.
+
+    Args:
+        network: The roads.
+    """
+
+    def __init__(self, network: RoadNetwork) -> None:
+        self._network = network
+        self._seen: dict[int, _Seen] = {}
+        self._start_ns: int | None = None
+
+    def add(self, step: TwinStep) -> None:
+        """Take one step; vehicles that no camera sees are left out."""
+        if self._start_ns is None:
+            self._start_ns = step.stamp_ns
+        time_s = (step.stamp_ns - self._start_ns) * 1e-9
+        network = self._network
+        kept = step.observed & (step.lane != NONE) & np.isfinite(step.xy[:, 0])
+        for k in np.flatnonzero(kept).tolist():
+            lane, xy = int(step.lane[k]), step.xy[k]
+            seen = self._seen.get(int(step.vehicle_id[k]))
+            if seen is None:
+                if network.internal[lane]:
+                    continue  # it departs from the edge after the junction
+                edges = [network.edge_id[lane]]
+                seen = _Seen(time_s, time_s, 0, 0.0, lane, xy, 0.0, xy, 0.0, 0.0, edges)
+                self._seen[int(step.vehicle_id[k])] = seen
+            elif not network.internal[lane] and network.edge_id[lane] != seen.edges[-1]:
+                seen.edges.append(network.edge_id[lane])
+            seen.driven_m += float(np.hypot(*(xy - seen.last_xy)))
+            seen.limit_m += float(network.speed_mps[lane]) * (time_s - seen.end_s)
+            if time_s <= seen.begin_s + SPEED_S:
+                # A track's own speed is not known in its first frames.
+                seen.speed_mps = seen.driven_m / max(time_s - seen.begin_s, 1e-9)
+            seen.end_s, seen.last_xy = time_s, xy
+            seen.kind, seen.length_m = int(step.kind[k]), float(step.size_m[k, 0])
+
+    def write(self, folder: Path, network_file: str) -> RouteCounts:
+        """Write `traffic.rou.xml`, `traffic.add.xml` and `traffic.sumocfg` into a folder.
+
+        Args:
+            folder: Where the files go.
+            network_file: Path of the network, as the configuration shall name it.
+        """
+        routes, ways = Xml.Element("routes"), _Ways(self._network)
+        factors: dict[int, list[float]] = {}
+        too_short = no_way = written = 0
+        for number, seen in sorted(self._seen.items(), key=lambda item: item[1].begin_s):
+            if seen.driven_m < MIN_DRIVEN_M:
+                too_short += 1
+                continue
+            edges = ways.complete(seen.edges)
+            if edges is None:
+                no_way += 1
+                continue
+            factor = float(np.clip(seen.driven_m / max(seen.limit_m, 1.0), *SPEED_FACTOR_BOUNDS))
+            factors.setdefault(seen.kind, []).append(factor)
+            _add_vehicle(routes, number, seen, edges, factor, self._network)
+            written += 1
+        additional = Xml.Element("additional")
+        for kind, values in sorted(factors.items()):
+            mean, spread = float(np.mean(values)), float(np.std(values))
+            text = f"normc({mean:.3f},{spread:.3f},{min(values):.3f},{max(values):.3f})"
+            add_type(additional, TYPES[kind].name, TYPES[kind], speedFactor=text)
+        _save(routes, folder / ROUTES)
+        _save(additional, folder / TYPE_FILE)
+        _save(_config(network_file), folder / CONFIG)
+        return RouteCounts(written, too_short, no_way)
+
+
+class _Ways:
+    """Ways between edges over edges that no camera saw."""
+
+    def __init__(self, network: RoadNetwork) -> None:
+        self._after: dict[str, set[str]] = {}
+        for lane in range(len(network)):
+            edge = network.edge_id[lane]
+            for after in network.successors[lane]:
+                self._after.setdefault(edge, set()).add(network.edge_id[after])
+        self._internal = {
+            edge for edge, inside in zip(network.edge_id, network.internal, strict=True) if inside
+        }
+
+    def complete(self, edges: list[str]) -> list[str] | None:
+        """The edges with those between them; None where no way leads on."""
+        way = edges[:1]
+        for target in edges[1:]:
+            between = self._shortest(way[-1], target)
+            if between is None:
+                return None
+            way += [edge for edge in between if edge not in self._internal]
+        return way
+
+    def _shortest(self, begin: str, end: str) -> list[str] | None:
+        waiting = deque([[begin]])
+        seen = {begin}
+        while waiting:
+            way = waiting.popleft()
+            if way[-1] == end:
+                return way[1:]
+            if len(way) <= MAX_EDGES:
+                for edge in sorted(self._after.get(way[-1], set()) - seen):
+                    seen.add(edge)
+                    waiting.append([*way, edge])
+        return None
+
+
+def _add_vehicle(
+    routes: Xml.Element,
+    number: int,
+    seen: _Seen,
+    edges: list[str],
+    factor: float,
+    network: RoadNetwork,
+) -> None:
+    arc = float(project(seen.xy[None], network.line(seen.lane)).arc_m[0]) + 0.5 * seen.length_m
+    position = min(arc, float(network.length_m[seen.lane]) - 0.1)
+    vehicle = Xml.SubElement(
+        routes,
+        "vehicle",
+        id=f"v{number}",
+        type=TYPES[seen.kind].name,
+        depart=f"{seen.begin_s:.2f}",
+        departLane=str(network.index[seen.lane]),
+        departPos=f"{position:.2f}",
+        departSpeed=f"{seen.speed_mps:.2f}",
+        speedFactor=f"{factor:.3f}",
+        insertionChecks="collision",
+    )
+    Xml.SubElement(vehicle, "route", edges=" ".join(edges))
+
+
+def _config(network_file: str) -> Xml.Element:
+    root = Xml.Element("configuration")
+    files = Xml.SubElement(root, "input")
+    for name, value in (
+        ("net-file", network_file),
+        ("route-files", ROUTES),
+        ("additional-files", TYPE_FILE),
+    ):
+        Xml.SubElement(files, name, value=value)
+    Xml.SubElement(Xml.SubElement(root, "time"), "step-length", value="0.1")
+    return root
+
+
+def _save(root: Xml.Element, path: Path) -> None:
+    Xml.indent(root)
+    Xml.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
