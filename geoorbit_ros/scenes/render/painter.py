@@ -14,7 +14,8 @@ from geoorbit_ros.scenes.detector_model import View
 from geoorbit_ros.scenes.render.conditions import Illumination
 from geoorbit_ros.scenes.render.occlusion import Silhouettes
 from geoorbit_ros.scenes.render.paints import material_colours
-from geoorbit_ros.scenes.render.solids import BUS, TRUCK, Solid, vehicle_solid
+from geoorbit_ros.scenes.render.solid import Solid
+from geoorbit_ros.scenes.render.vehicle_solids import BUS, TRUCK, vehicle_solid
 
 NEAR_M = 1.0
 """Vehicles with a corner nearer than this are not drawn, nor have they a box."""

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.scenes.render.conditions import Colour
-from geoorbit_ros.scenes.render.solids import Material
+from geoorbit_ros.scenes.render.solid import Material
 
 CAR_PAINTS: tuple[tuple[float, Colour], ...] = (
     # Shares: BASF Color Report 2022, rounded.

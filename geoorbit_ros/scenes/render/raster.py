@@ -25,28 +25,25 @@ def coverage(camera: PinholeCamera, strips: Iterable[Strip]) -> NDArray[np.float
     """
     width, height = camera.image_size
     mask = np.zeros((height * SAMPLES, width * SAMPLES), np.uint8)
+    quads = [strip.quads() for strip in strips]
+    if not quads:
+        return np.zeros((height, width), np.float32)
+    ground = np.concatenate(quads)
+    pixel, depth = camera.project(np.concatenate([ground, np.zeros((*ground.shape[:2], 1))], 2))
+    low, high = pixel.min(axis=1), pixel.max(axis=1)
     limit = 3.0 * max(width, height)
-    for strip in strips:
-        quads = strip.quads()
-        if not len(quads):
-            continue
-        corners = np.concatenate([quads, np.zeros((*quads.shape[:2], 1))], axis=2)
-        pixel, depth = camera.project(corners)
-        low, high = pixel.min(axis=1), pixel.max(axis=1)
-        with np.errstate(invalid="ignore"):
-            shown = (depth.min(axis=1) > NEAR_M) & np.all(high > 0.0, axis=1)
-            shown &= np.all(low < [width, height], axis=1) & np.all(np.abs(high) < limit, axis=1)
-            shown &= np.all(np.abs(low) < limit, axis=1)
-        # Coordinates of pixel centres: a subpixel's middle lies half a subpixel inside.
-        fine = pixel[shown] * SAMPLES - 0.5
-        thin = _thickness(fine)
-        levels = np.where(thin > 8.0, 255, np.rint(255 * thin / (thin + 1.0))).astype(int)
-        corners_px = np.rint(fine * (1 << _SHIFT)).astype(np.int32)
-        for points, level in zip(corners_px, levels.tolist(), strict=True):
-            if level == 255:
-                cv2.fillConvexPoly(mask, points, 255, cv2.LINE_8, _SHIFT)
-            else:
-                _fill_brighter(mask, points, level)
+    with np.errstate(invalid="ignore"):
+        shown = (depth.min(axis=1) > NEAR_M) & np.all(high > 0.0, axis=1)
+        shown &= np.all(low < [width, height], axis=1)
+        shown &= np.all(high < limit, axis=1) & np.all(low > -limit, axis=1)
+    # Coordinates of pixel centres: a subpixel's middle lies half a subpixel inside.
+    fine = pixel[shown] * SAMPLES - 0.5
+    thin = _thickness(fine)
+    levels = np.where(thin > 8.0, 255, np.rint(255 * thin / (thin + 1.0))).astype(np.int64)
+    corners = np.rint(fine * (1 << _SHIFT)).astype(np.int32)
+    # The brightest last: none darkens another.
+    for k in np.argsort(levels, kind="stable").tolist():
+        cv2.fillConvexPoly(mask, corners[k], int(levels[k]), cv2.LINE_8, _SHIFT)
     small = cv2.resize(mask, (width, height), interpolation=cv2.INTER_AREA)
     return small.astype(np.float32) / np.float32(255.0)
 
@@ -57,15 +54,3 @@ def _thickness(quads: NDArray[np.float64]) -> NDArray[np.float64]:
     cross = quads[..., 0] * following[..., 1] - quads[..., 1] * following[..., 0]
     longest = np.hypot(*np.moveaxis(quads - following, 2, 0)).max(axis=1)
     return np.asarray(0.5 * np.abs(cross.sum(axis=1)) / np.maximum(longest, 1e-9))
-
-
-def _fill_brighter(mask: NDArray[np.uint8], points: NDArray[np.int32], level: int) -> None:
-    """Fill with a level, but darken nothing."""
-    low = np.maximum((points.min(axis=0) >> _SHIFT) - 1, 0)
-    high = np.minimum((points.max(axis=0) >> _SHIFT) + 2, mask.shape[::-1])
-    if np.any(high <= low):
-        return
-    part = mask[low[1] : high[1], low[0] : high[0]]
-    drawn = np.zeros_like(part)
-    cv2.fillConvexPoly(drawn, points - (low << _SHIFT), level, cv2.LINE_8, _SHIFT)
-    np.maximum(part, drawn, out=part)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +19,11 @@ TRAFFIC_M = 4.6
 """Vehicles are no higher."""
 RANGE_M = (25.0, 420.0)
 _MAX_SPRITE_PX = 260
+_KINDS = 12
+"""Different bushes, and as many different trees."""
+_TREE_PX, _BUSH_PX = 170, 60
+_BUSH_M = 4.0
+"""What is smaller is a bush."""
 
 
 def add_trees(
@@ -39,13 +46,15 @@ def add_trees(
     covered = np.zeros((height, width), np.float32)
     random = np.random.default_rng([seed, 28])
     traffic = _traffic_space(camera, surface) | (pavement > 0.0)
+    crowns = {bush: [_crown(bush, random) for _ in range(_KINDS)] for bush in (True, False)}
     for place, tall in _places(camera, surface, random):
         foot, depth = camera.project(np.append(place, 0.0))
         top, _ = camera.project(np.append(place, tall))
         size = float(foot[1] - top[1]) if depth > 1.0 else np.nan
         if not 4.0 < size < _MAX_SPRITE_PX:
             continue
-        colour, share = _tree(size, tall < 4.0, light, random)
+        crown = crowns[tall < _BUSH_M][int(random.integers(_KINDS))]
+        colour, share = _tree(size, crown, light, random)
         rows, columns = share.shape
         left, bottom = round(float(foot[0]) - 0.5 * columns), round(float(foot[1]))
         low = max(left, 0), max(bottom - rows, 0)
@@ -107,12 +116,23 @@ def _traffic_space(camera: PinholeCamera, surface: RoadSurface) -> NDArray[np.bo
     return mask > 0
 
 
-def _tree(
-    size_px: float, bush: bool, light: Illumination, random: np.random.Generator
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Colours (h, w, 3) and coverage (h, w) of a crown of leaves, with a trunk under a tree."""
-    rows = max(round(size_px), 4)
-    columns = max(round(size_px * (1.5 if bush else random.uniform(0.5, 0.75))), 4)
+@dataclass(frozen=True, slots=True)
+class _Crown:
+    """A tree or bush to be scaled.
+
+    Attributes:
+        shade: (h, w) brightness of its leaves, 1 on the side of the light.
+        cover: (h, w) share of each pixel that it covers.
+    """
+
+    shade: NDArray[np.float32]
+    cover: NDArray[np.float32]
+
+
+def _crown(bush: bool, random: np.random.Generator) -> _Crown:
+    """A crown of boughs and leaves, with a trunk under a tree."""
+    rows = _BUSH_PX if bush else _TREE_PX
+    columns = round(rows * (1.5 if bush else random.uniform(0.5, 0.75)))
     y, x = np.mgrid[0:rows, 0:columns].astype(np.float32)
     x, y = (x + 0.5) / columns - 0.5, (y + 0.5) / rows  # 0 is the top of the tree
     middle, half = (0.58, 0.42) if bush else (0.42, 0.41)
@@ -125,17 +145,31 @@ def _tree(
         nearer = ball > inside
         inside = np.where(nearer, ball, inside)
         light_side = np.where(nearer, np.clip(-0.35 * u - 0.75 * v, -1.0, 1.0), light_side)
-    ragged = _grain(random, x.shape, 2.2) + 0.6 * _grain(random, x.shape, 5.0)
+    ragged = _grain(random, x.shape, 2.6) + 0.6 * _grain(random, x.shape, 6.0)
     cover = np.clip((inside + 0.22 * ragged) * 0.25 * min(rows, columns) + 0.5, 0.0, 1.0)
     shade = 0.66 + 0.24 * light_side + 0.10 * ragged + 0.16 * _grain(random, x.shape, 0.9)
     if not bush:
-        trunk = (np.abs(x) * columns < max(0.018 * rows, 0.5)) & (y > middle)
+        trunk = (np.abs(x) * columns < 0.018 * rows) & (y > middle)
         shade = np.where(trunk & (cover < 0.5), np.float32(0.35), shade)
         cover = np.maximum(cover, 0.9 * trunk)
+    return _Crown(np.clip(shade, 0.15, 1.3).astype(np.float32), np.asarray(cover, dtype=np.float32))
+
+
+def _tree(
+    size_px: float, crown: _Crown, light: Illumination, random: np.random.Generator
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Colours (h, w, 3) and coverage (h, w) of a crown `size_px` high."""
+    rows = max(round(size_px), 4)
+    columns = max(round(size_px * crown.cover.shape[1] / crown.cover.shape[0]), 4)
+    way = cv2.INTER_AREA if rows < crown.cover.shape[0] else cv2.INTER_LINEAR
+    shade = cv2.resize(crown.shade, (columns, rows), interpolation=way)
+    cover = cv2.resize(crown.cover, (columns, rows), interpolation=way)
+    if random.uniform() < 0.5:
+        shade, cover = shade[:, ::-1], cover[:, ::-1]
     leaves = np.array([0.15, 0.31, 0.24]) * random.uniform(0.85, 1.2)
     leaves *= random.uniform(0.92, 1.08, 3)
     lit = channels(light.ambient) + np.float32(0.55) * channels(light.sun)
-    colour = np.clip(shade, 0.15, 1.3)[..., None] * leaves * lit
+    colour = shade[..., None] * (leaves * lit)
     return np.asarray(colour, dtype=np.float32), np.asarray(cover, dtype=np.float32)
 
 

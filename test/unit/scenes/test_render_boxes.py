@@ -31,7 +31,7 @@ from geoorbit_ros.scenes.render.occlusion import draw_order
 from geoorbit_ros.scenes.render.painter import Painter, silhouettes
 from geoorbit_ros.scenes.render.rendered_scene import box_rows
 from geoorbit_ros.scenes.render.renderer import SceneRenderer
-from geoorbit_ros.scenes.render.solids import vehicle_solid
+from geoorbit_ros.scenes.render.vehicle_solids import vehicle_solid
 
 SIZES = (CAR, SUV, VAN, TRUCK, SEMITRAILER, BUS, MOTORCYCLE)
 
