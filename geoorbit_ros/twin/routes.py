@@ -27,19 +27,21 @@ MAX_EDGES = 50
 
 @dataclass(slots=True)
 class _Seen:
-    """What is kept of a vehicle."""
+    """What is kept of a vehicle: its beginning, and what it drove up to `end_s`."""
 
     begin_s: float
-    end_s: float
-    kind: int
-    length_m: float
     lane: int
     xy: NDArray[np.float64]
-    speed_mps: float
-    last_xy: NDArray[np.float64]
-    driven_m: float
-    limit_m: float
     edges: list[str]
+    end_s: float
+    last_s: float
+    last_xy: NDArray[np.float64]
+    kind: int = 0
+    length_m: float = 0.0
+    speed_mps: float = 0.0
+    driven_m: float = 0.0
+    limit_m: float = 0.0
+    measured_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,16 +82,20 @@ class RouteWriter:
                 if network.internal[lane]:
                     continue  # it departs from the edge after the junction
                 edges = [network.edge_id[lane]]
-                seen = _Seen(time_s, time_s, 0, 0.0, lane, xy, 0.0, xy, 0.0, 0.0, edges)
+                seen = _Seen(time_s, lane, xy, edges, time_s, time_s, xy)
                 self._seen[int(step.vehicle_id[k])] = seen
             elif not network.internal[lane] and network.edge_id[lane] != seen.edges[-1]:
                 seen.edges.append(network.edge_id[lane])
-            seen.driven_m += float(np.hypot(*(xy - seen.last_xy)))
-            seen.limit_m += float(network.speed_mps[lane]) * (time_s - seen.end_s)
-            if time_s <= seen.begin_s + SPEED_S:
-                # A track's own speed is not known in its first frames.
-                seen.speed_mps = seen.driven_m / max(time_s - seen.begin_s, 1e-9)
-            seen.end_s, seen.last_xy = time_s, xy
+            seen.limit_m += float(network.speed_mps[lane]) * (time_s - seen.last_s)
+            seen.last_s = time_s
+            if time_s >= seen.end_s + SPEED_S:
+                # From second to second: from step to step the noise of places would add up.
+                driven = float(np.hypot(*(xy - seen.last_xy)))
+                if seen.driven_m == 0.0:
+                    seen.speed_mps = driven / (time_s - seen.end_s)
+                seen.driven_m += driven
+                seen.measured_m = seen.limit_m
+                seen.end_s, seen.last_xy = time_s, xy
             seen.kind, seen.length_m = int(step.kind[k]), float(step.size_m[k, 0])
 
     def write(self, folder: Path, network_file: str) -> RouteCounts:
@@ -110,7 +116,7 @@ class RouteWriter:
             if edges is None:
                 no_way += 1
                 continue
-            factor = float(np.clip(seen.driven_m / max(seen.limit_m, 1.0), *SPEED_FACTOR_BOUNDS))
+            factor = float(np.clip(seen.driven_m / max(seen.measured_m, 1.0), *SPEED_FACTOR_BOUNDS))
             factors.setdefault(seen.kind, []).append(factor)
             _add_vehicle(routes, number, seen, edges, factor, self._network)
             written += 1
