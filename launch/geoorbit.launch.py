@@ -20,8 +20,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
 from geoorbit_ros.fleet.fleet_file import load_fleet
-from geoorbit_ros.fleet.plan import make_folders, plan_fleet
-from geoorbit_ros.fleet.sources import ask_sources
+from geoorbit_ros.fleet.prepare import prepare
 
 PACKAGE = "geoorbit_ros"
 
@@ -65,9 +64,6 @@ def fleet_nodes(fleet: str, out: str) -> list[Node]:
     """The graph that `geoorbit up` makes, one process per node."""
     content, file = load_fleet(fleet)
     base, output = file.parent.absolute(), (Path(out or f"out/{content.name}")).absolute()
-    chosen = [plan.name for plan in plan_fleet(content, base, output)]
-    content = ask_sources(content, base, output, chosen)
-    make_folders(content, output)
     return [
         Node(
             package=PACKAGE,
@@ -77,7 +73,7 @@ def fleet_nodes(fleet: str, out: str) -> list[Node]:
             respawn=True,
             respawn_delay=1.0,
         )
-        for plan in plan_fleet(content, base, output)
+        for plan in prepare(content, base, output)
         for node in plan.nodes
     ]
 

@@ -46,8 +46,8 @@ def up(
     from geoorbit_ros.cli.console import console, status
     from geoorbit_ros.cli.interrupt import told_to_end
     from geoorbit_ros.fleet.fleet_file import load_fleet
-    from geoorbit_ros.fleet.plan import make_folders, plan_fleet, select
-    from geoorbit_ros.fleet.sources import ask_sources
+    from geoorbit_ros.fleet.plan import plan_fleet, select
+    from geoorbit_ros.fleet.prepare import prepare
     from geoorbit_ros.fleet.supervisor import Supervisor
 
     content, file = load_fleet(fleet)
@@ -57,11 +57,8 @@ def up(
     if dry_run:
         _print_plan(content, plans, folder)
         return
-    chosen = {plan.name for plan in plans}
     with status("looking at the cameras"):
-        content = ask_sources(content, base, folder, chosen)
-    make_folders(content, folder)
-    plans = select(plan_fleet(content, base, folder), only or [])
+        plans = prepare(content, base, folder, only or [])
     began = time.monotonic()
 
     def say(name: str, text: str) -> None:

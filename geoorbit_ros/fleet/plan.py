@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from geoorbit_ros.core.errors import GeoOrbitError, InputFileError
+from geoorbit_ros.fleet.federation_keys import ROSTER, SERVER_KEY, FederationKeys
 from geoorbit_ros.fleet.fleet_file import Camera, Fleet, Value
 
 BAG_IMAGE_SIZE = (1920, 1080)
@@ -65,13 +66,16 @@ class ProcessPlan:
             raise InputFileError(place, f"{type(error).__name__}: {error}", "a plan") from error
 
 
-def plan_fleet(fleet: Fleet, base: Path, output: Path) -> tuple[ProcessPlan, ...]:
+def plan_fleet(
+    fleet: Fleet, base: Path, output: Path, keys: FederationKeys | None = None
+) -> tuple[ProcessPlan, ...]:
     """The processes of a fleet in the order in which they start: what others wait for comes first.
 
     Args:
         fleet: The fleet.
         base: Folder that relative paths in the fleet file start from.
         output: Folder of logs, recordings and state.
+        keys: Of the federation; None: nothing is signed (a plan to look at).
 
     Raises:
         FleetPlanError: Files that the fleet names and that are not there, all of them in one
@@ -79,33 +83,41 @@ def plan_fleet(fleet: Fleet, base: Path, output: Path) -> tuple[ProcessPlan, ...
     """
     _check_names(fleet)
     _check_files(fleet, base)
-    return plan_nodes(fleet, base, output)
+    return plan_nodes(fleet, base, output, keys)
 
 
-def plan_nodes(fleet: Fleet, base: Path, output: Path) -> tuple[ProcessPlan, ...]:
+def plan_nodes(
+    fleet: Fleet, base: Path, output: Path, keys: FederationKeys | None = None
+) -> tuple[ProcessPlan, ...]:
     """As `plan_fleet`, without a look at the files."""
     plans = []
-    if fleet.federated_server and fleet.federated_server.enabled:
-        state = {"checkpoint_folder": str(output / "state" / SERVER)}
-        node = NodePlan("federated_server", "", state | fleet.federated_server.parameters)
-        plans.append(ProcessPlan(SERVER, (node,)))
     cameras = [camera for camera in fleet.cameras if camera.enabled]
+    if fleet.federated_server and fleet.federated_server.enabled:
+        wiring: dict[str, Value] = {"checkpoint": str(output / "state" / f"{SERVER}.npz")}
+        if keys:
+            files = {"roster": keys.folder / ROSTER, "key_file": keys.folder / SERVER_KEY}
+            wiring |= {name: str(file) for name, file in files.items()}
+        node = NodePlan(SERVER, "", wiring | fleet.federated_server.parameters)
+        plans.append(ProcessPlan(SERVER, (node,)))
     if fleet.twin and fleet.twin.enabled:
-        wiring: dict[str, Value] = {
+        files_of = [str(calibration_file(camera, base, output)) for camera in cameras]
+        wiring = {
             "network": str(base / fleet.twin.network),
-            "cameras": ",".join(camera.id for camera in cameras),
+            "cameras": " ".join(camera.id for camera in cameras),
+            "calibrations": " ".join(files_of),
         }
-        plans.append(
-            ProcessPlan(TWIN, (NodePlan("sumo_bridge", "", wiring | fleet.twin.parameters),))
-        )
+        bridge = NodePlan("sumo_bridge", "", wiring | fleet.twin.parameters)
+        plans.append(ProcessPlan(TWIN, (bridge,)))
     if fleet.viewer and fleet.viewer.enabled:
         where: dict[str, Value] = {"host": fleet.viewer.host, "port": fleet.viewer.port}
         plans.append(ProcessPlan(VIEWER, (NodePlan("viewer", "", where),)))
-    plans += [ProcessPlan(c.id, tuple(camera_nodes(c, fleet, base, output))) for c in cameras]
+    plans += [ProcessPlan(c.id, tuple(camera_nodes(c, fleet, base, output, keys))) for c in cameras]
     return tuple(plans)
 
 
-def camera_nodes(camera: Camera, fleet: Fleet, base: Path, output: Path) -> Iterable[NodePlan]:
+def camera_nodes(
+    camera: Camera, fleet: Fleet, base: Path, output: Path, keys: FederationKeys | None
+) -> Iterable[NodePlan]:
     """The nodes of one camera, readers before writers: nothing is sent before it can be heard."""
     width, height = camera.image_size or BAG_IMAGE_SIZE
     size: dict[str, Value] = {"image_width": width, "image_height": height}
@@ -117,10 +129,14 @@ def camera_nodes(camera: Camera, fleet: Fleet, base: Path, output: Path) -> Iter
     if fleet.recorder and fleet.recorder.enabled:
         folder = output / fleet.recorder.folder
         wiring["recorder"] = {"database": str(folder / f"{camera.id}.db")}
+    state = output / "state" / camera.id
+    wiring["lane_geometry"] = {"state_file": str(state / "lanes.npz")}
     if fleet.federated_server and fleet.federated_server.enabled:
-        wiring["meta_client"] = {"calibration_file": ground["calibration_file"], **size}
-    state = str(output / "state" / camera.id / "lanes.npz")
-    wiring["lane_geometry"] = {"state_file": state}
+        wiring["meta_client"] = {"state_file": str(state / "meta_client.npz")}
+        if keys:
+            wiring["meta_client"]["key_file"] = str(keys.folder / f"{camera.id}.key")
+            wiring["meta_client"]["server_key"] = keys.server
+            wiring["lane_geometry"]["lane_parameters_key"] = keys.cameras[camera.id]
     wiring["homography"] = ground | size
     if camera.kind == "bag":
         bag = str(base / camera.source.partition(":")[2])
@@ -145,8 +161,11 @@ def camera_nodes(camera: Camera, fleet: Fleet, base: Path, output: Path) -> Iter
 
 def make_folders(fleet: Fleet, output: Path) -> None:
     """Make the folders that nodes write into but don't make themselves."""
+    folders = [output / "state" / camera.id for camera in fleet.cameras if camera.enabled]
     if fleet.recorder and fleet.recorder.enabled:
-        (output / fleet.recorder.folder).mkdir(parents=True, exist_ok=True)
+        folders.append(output / fleet.recorder.folder)
+    for folder in folders:
+        folder.mkdir(parents=True, exist_ok=True)
 
 
 def expected_nodes(fleet: Fleet) -> dict[str, list[str]]:
