@@ -1,0 +1,86 @@
+"""From a rendered video to lanes with one command, against the exact truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.cli.main import main
+from geoorbit_ros.lanes.geojson import read_lane_file, read_lanes
+from geoorbit_ros.metrics.score import score_lanes
+from geoorbit_ros.scenes.render.output import write_rendered_scene
+from geoorbit_ros.scenes.render.rendered_scene import render_scene
+from geoorbit_ros.scenes.scene import load_scene
+from geoorbit_ros.storage.mot_text import read_mot_detections, read_mot_tracks
+from geoorbit_ros.storage.track_csv import read_track_csv
+
+SCENE, SEED, DURATION_S, FPS, SIZE = "s_curve", 1, 40.0, 8.0, (960, 540)
+
+
+@dataclass(frozen=True)
+class Processed:
+    film: Path
+    out: Path
+    datum: Datum
+
+
+@pytest.fixture(scope="module")
+def processed(tmp_path_factory: pytest.TempPathFactory) -> Processed:
+    folder = tmp_path_factory.mktemp("scene")
+    rendered = render_scene(load_scene(SCENE), DURATION_S, SEED, fps=FPS, image_size=SIZE)
+    write_rendered_scene(rendered, folder / "film")
+    film, out = folder / "film", folder / "out"
+    words = ["process", str(film / "video.mp4"), "--calibration", str(film / "calibration.csv")]
+    assert main([*words, "--out", str(out), "--video"]) == 0
+    return Processed(film, out, rendered.datum)
+
+
+def test_the_lanes_are_those_of_the_scene_and_lead_the_right_way(processed: Processed) -> None:
+    truth = read_lanes(processed.film / "truth.geojson", processed.datum).lanes
+    found = read_lane_file(processed.out / "lanes.geojson", processed.datum).lane_map.lanes
+    score = score_lanes(found, truth)
+    assert score.missed() == ()
+    assert (score.invented, score.direction_wrong) == ((), ())
+    error_m = np.concatenate([row.error_m for row in score.matched])
+    assert error_m.mean() <= 0.30
+
+
+def test_the_tracks_written_give_the_lanes_again(processed: Processed, tmp_path: Path) -> None:
+    again = tmp_path / "lanes.geojson"
+    words = ["lanes", "--tracks", str(processed.out / "tracks.csv"), "--out", str(again)]
+    calibration = ["--calibration", str(processed.film / "calibration.csv")]
+    assert main([*words, *calibration, "--image-size", f"{SIZE[0]}x{SIZE[1]}"]) == 0
+    first, second = (
+        read_lane_file(path, processed.datum).lane_map.lanes
+        for path in (processed.out / "lanes.geojson", again)
+    )
+    assert [lane.lane_id for lane in first] == [lane.lane_id for lane in second]
+    score = score_lanes(second, first)
+    error_m = np.concatenate([row.error_m for row in score.matched])
+    assert error_m.mean() <= 0.05, "only images without a vehicle are missing"
+
+
+def test_boxes_tracks_and_video_belong_to_the_same_images(processed: Processed) -> None:
+    detections = read_mot_detections(processed.out / "detections.txt")
+    tracks = read_mot_tracks(processed.out / "tracks.txt")
+    observed = read_track_csv(processed.out / "tracks.csv", SIZE)
+    images = round(DURATION_S * FPS)
+    assert 1 <= detections.frame[0] <= detections.frame[-1] <= images
+    assert set(observed.rows["track_id"]) <= set(tracks.rows["track_id"])
+    assert len(observed.rows) <= len(detections.rows)
+    video = cv2.VideoCapture(str(processed.out / "annotated.mp4"))
+    plain = cv2.VideoCapture(str(processed.film / "video.mp4"))
+    drawn = 0
+    for k in range(images):
+        (there, annotated), (_, image) = video.read(), plain.read()
+        assert there
+        if k == images - 1:
+            drawn = int(np.count_nonzero(cv2.absdiff(annotated, image).max(axis=2) > 60))
+    assert not video.read()[0]
+    assert drawn > 1000, "boxes, trails and lanes"
+    assert "<svg" in (processed.out / "report.html").read_text()
