@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpbsv
 
-from geoorbit_ros.lanes.grouped import changes, quantile, totals
+from geoorbit_ros.lanes.grouped import changes, lengths, quantile, totals
 from geoorbit_ros.lanes.members import Members
 from geoorbit_ros.lanes.profiles import STATIONS_PER_SCALE, Profiles
 from geoorbit_ros.lanes.ridges import Ridge
@@ -23,6 +23,9 @@ STIFFNESS_SCALES = 2.0
 """Length, in road scales, below which a lane's offset from the spine is not expected to bend."""
 ITERATIONS = 3
 LARGE_WEIGHT = 0.4
+STAYING = 0.5
+"""Share of a lane that a vehicle must stay in it to show its shape in full: those that come late or
+leave early show where they came from or went."""
 """Trucks and buses locate a lane less well: their ground point depends on their unknown height."""
 
 
@@ -72,6 +75,9 @@ def fit_centerlines(
     of_driver = lane[entry]
     weight = profiles.weight[profiles.row[sample]] * trust[sample]
     base = np.maximum.reduceat(weight, entry)
+    share = lengths(entry, len(lane)) / length[of_driver]
+    stay = np.minimum(share / STAYING, 1.0)[driver]
+    weight = weight * stay
     d = profiles.d[sample]
     smoother = _Smoother(begin, totals(at, weight, begin[-1]))
     centre, offset = np.concatenate([r.d for r in ridges]), np.zeros(len(entry))
@@ -85,9 +91,10 @@ def fit_centerlines(
         shrink = (mass / 4.0) / (mass / 4.0 + (RESIDUAL_M / DRIVER_OFFSET_M) ** 2)
         offset = shrink * np.add.reduceat(robust * own, entry) / np.maximum(mass, 1e-9)
         offset -= _robust_means(offset, base, of_driver, len(ridges))[of_driver]
-        support = totals(at, robust, begin[-1])
+        mass = totals(at, robust, begin[-1])
         target = totals(at, robust * (d - offset[driver]), begin[-1])
-        centre = smoother.smooth(target / np.maximum(support, 1e-9), support)
+        centre = smoother.smooth(target / np.maximum(mass, 1e-9), mass)
+    support = totals(at, robust / stay, begin[-1])
     worth = totals(of_driver, base, len(ridges))
     lines: list[Centerline | None] = []
     for k in range(len(ridges)):

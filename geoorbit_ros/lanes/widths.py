@@ -17,10 +17,10 @@ from geoorbit_ros.lanes.grouped import quantile
 
 TYPICAL_WIDTH_M = (3.25, 3.65)
 TYPICAL_SPEED_MPS = (14.0, 22.0)
-TYPICAL_SIGMA_M = 0.2
+TYPICAL_SIGMA_M = 0.3
 """City streets have 3.0 to 3.5 m (NACTO Urban Street Design Guide), faster roads 3.5 to 3.75 m
 (AASHTO Green Book 12 ft, German RAA, UK CD 127)."""
-SPREAD_M = 0.12
+SPREAD_M = 0.08
 """1-sigma of lane widths within one road."""
 SHOULDER_M = 0.6
 """A spacing larger than the road's by more than this contains a shoulder or a median."""
