@@ -1,11 +1,14 @@
-"""One camera of a federation, alone on its host: a real meta_client with a made-up observation.
+"""One camera of a federation: a real meta_client, with a made-up observation and made-up lessons.
 
-camera_host.py NAME KEY_FILE SERVER_KEY    ends with status 0 once training is over
+camera_host.py NAME KEY_FILE SERVER_KEY FOLDER [ENCODING]    ends with 0 once training is over
+
+It keeps its state in FOLDER/NAME.npz, writes FOLDER/NAME.learning when it begins to learn, and does
+not end learning while FOLDER/NAME.hold is there.
 """
 
 import sys
 import time
-from concurrent.futures import Executor, Future
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -18,36 +21,46 @@ from made_up_lanes import made_up_reference, made_up_tracks
 
 from geoorbit_ros.federated import camera_session
 from geoorbit_ros.federated.camera_learning import Lesson
-from geoorbit_ros.federated.client import LocalResult
+from geoorbit_ros.federated.client import LocalResult, TrainingOrder
+from geoorbit_ros.federated.layout import Tensors
 from geoorbit_ros.nodes.meta_client import MetaClientNode
 from geoorbit_ros.nodes.process import make_executor
 
 LIMIT_S = 100.0
 
 
-class AtOnce(Executor):
-    """Runs where it is told to."""
-
-    def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Any:
-        future: Future[Any] = Future()
-        future.set_result(fn(*args, **kwargs))
-        return future
-
-
-def learned(task: Any, estimator: str, tensors: Any, order: Any, best: Any = None) -> Lesson:
-    """Local training that moves every head's bias, without any search for theta*."""
-    delta = {name: np.zeros_like(value) for name, value in tensors.items()}
-    delta["heads.bias"] += np.float32(0.1)
-    return Lesson(LocalResult(delta, 1, 1.0), np.zeros(3))
+def lesson(camera_id: str, tensors: Tensors, order: TrainingOrder) -> LocalResult:
+    """Deterministic local training that depends on camera, round and model."""
+    generator = np.random.default_rng([order.round, *camera_id.encode()])
+    delta = {
+        name: (0.1 * generator.normal(size=value.shape) - 0.2 * value).astype(np.float32)
+        for name, value in tensors.items()
+    }
+    return LocalResult(delta, 1 + len(camera_id), 1.0 / order.round)
 
 
 def main() -> int:
-    name, key_file, server_key = sys.argv[1:]
-    camera_session.learn_from_camera = learned
+    name, key_file, server_key, place, *encoding = sys.argv[1:]
+    folder = Path(place)
+
+    def learned(task: Any, _: str, tensors: Any, order: Any, best: Any = None) -> Lesson:
+        (folder / f"{name}.learning").touch()
+        deadline = time.monotonic() + LIMIT_S
+        while (folder / f"{name}.hold").exists() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        return Lesson(lesson(task.camera_id, tensors, order), np.zeros(3))
+
+    setattr(camera_session, "learn_from_camera", learned)  # noqa: B010
     rclpy.init()
-    parameters = {"key_file": key_file, "server_key": server_key, "observation_s": 1.0}
+    parameters = {
+        "key_file": key_file,
+        "server_key": server_key,
+        "observation_s": 1.0,
+        "state_file": str(folder / f"{name}.npz"),
+        "encoding": encoding[0] if encoding else "float32",
+    }
     node = MetaClientNode(namespace=name, overrides=parameters)
-    node.session._executor = AtOnce()
+    node.session._executor = ThreadPoolExecutor(1)
     node.session.refer(made_up_reference(), -10.0)
     for stamp_ns, rows in made_up_tracks(1.0):
         node.session.add(stamp_ns, rows)
