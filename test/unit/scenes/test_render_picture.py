@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from typing import Any
 
 import numpy as np
@@ -235,6 +238,19 @@ def test_trees_stand_beside_the_road_only() -> None:
         covered = add_trees(picture, camera, light, surface, pavement, seed=2)
         assert covered.max() > 0.9 and (covered > 0.5).mean() > 0.01
         assert not (covered[pavement > 0.0] > 0.0).any()
+
+
+def test_pictures_of_lanes_need_no_sumo() -> None:
+    program = (
+        "import sys; sys.modules.update(libsumo=None, sumolib=None, traci=None)\n"
+        "from geoorbit_ros.scenes.render.renderer import SceneRenderer\n"
+        "from geoorbit_ros.scenes.camera import look_at\n"
+        "import numpy as np\n"
+        "camera = look_at(np.array([0., 0, 9]), np.array([0., 50, 0]), 60.0, (320, 180))\n"
+        "SceneRenderer(camera, [])\n"
+    )
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+    subprocess.run([sys.executable, "-c", program], env=environment, check=True, timeout=120)
 
 
 @pytest.mark.parametrize(
