@@ -99,9 +99,10 @@ class Fusion:
         entered, slots, rows = [], [], []
         for camera, found in enumerate(tables):
             slot = self._bind(camera, found, time_ns)
-            new = np.flatnonzero(slot < 0)
-            new = new[self._on_road(found["xy"][new])]
-            self.counts.off_road += int(np.count_nonzero(slot < 0)) - len(new)
+            new = np.flatnonzero(slot == -1)
+            able = self._on_road(found["xy"][new])
+            self.counts.off_road += int(np.count_nonzero(~able))
+            new = new[able]
             if len(new):
                 fresh = self._fleet.enter(len(new))
                 slot[new] = fresh

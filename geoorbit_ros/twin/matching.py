@@ -107,16 +107,16 @@ class LaneMatcher:
         known = (self._lane[slot] != NONE).any(axis=1)
         prior = self._prior(slot[known], near.lane[known])
         score[known] += prior
+        lost = score.max(axis=1) <= 0.5 * IMPOSSIBLE
         score -= score.max(axis=1, keepdims=True)
         best = np.argmax(score, axis=1)
         rows = np.arange(len(slot))
         held = near.lane == self._best[slot][:, None]
         stays = (held & (score > -MARGIN) & present).any(axis=1)
         best = np.where(stays, np.argmax(held, axis=1), best)
-        lost = score[rows, best] <= IMPOSSIBLE / 2
-        lost |= ~present[rows, best]
         lane = np.where(lost, NONE, near.lane[rows, best])
         self._lane[slot], self._score[slot], self._best[slot] = near.lane, score, lane
+        self._lane[slot[lost]] = NONE  # where it comes back, it begins anew
         offset = near.offset_m[rows, best]
         within = ~lost & (np.abs(offset) <= self._half_m[lane])
         return Matches(

@@ -327,22 +327,34 @@ _OPTIONS = (
 
 
 def _connect(port: int, process: subprocess.Popen[bytes], log: Path) -> Any:
+    """A TraCI connection to a SUMO that has read its network; it listens before that."""
     import time
 
+    import traci
     from traci.connection import Connection
 
     for _ in range(START_RETRIES):
         if process.poll() is not None:
-            text = log.read_text(errors="replace").strip().splitlines()
-            found = text[0][:300] if text else _status(process.returncode)
-            raise SimulationError("SUMO", found, "a simulation")
+            break
         try:
-            return Connection("localhost", port, process, None, False, None)
+            connection = Connection("localhost", port, process, None, False, None)
+            connection.getVersion()
+            return connection
         except OSError:
             time.sleep(RETRY_S)
-    process.kill()
-    process.wait()
-    raise SimulationError("SUMO", f"no answer in {START_RETRIES * RETRY_S:g} s", "a simulation")
+        except (traci.TraCIException, traci.FatalTraCIError):
+            break
+    else:
+        process.kill()
+        process.wait()
+        found = f"no answer in {START_RETRIES * RETRY_S:g} s"
+        raise SimulationError("SUMO", found, "a simulation")
+    with suppress(subprocess.TimeoutExpired):
+        process.wait(CLOSE_TIMEOUT_S)
+    text = log.read_text(errors="replace").strip().splitlines()
+    errors = [line for line in text if line.startswith("Error")] or text
+    found = errors[0][:300] if errors else "an end without a message"
+    raise SimulationError("SUMO", found, "a simulation")
 
 
 def _status(code: int) -> str:
