@@ -42,10 +42,12 @@ class ProcessPlan:
     Attributes:
         name: A camera's id, or one of `SERVER`, `TWIN`, `VIEWER`.
         nodes: In the order in which they start.
+        first: Whether the others wait until it runs.
     """
 
     name: str
     nodes: tuple[NodePlan, ...]
+    first: bool = False
 
     def to_json(self) -> str:
         """The plan as its process reads it."""
@@ -61,7 +63,7 @@ class ProcessPlan:
         try:
             content = json.loads(text)
             nodes = tuple(NodePlan(**node) for node in content["nodes"])
-            return ProcessPlan(content["name"], nodes)
+            return ProcessPlan(content["name"], nodes, content["first"])
         except (ValueError, KeyError, TypeError) as error:
             raise InputFileError(place, f"{type(error).__name__}: {error}", "a plan") from error
 
@@ -98,7 +100,7 @@ def plan_nodes(
             files = {"roster": keys.folder / ROSTER, "key_file": keys.folder / SERVER_KEY}
             wiring |= {name: str(file) for name, file in files.items()}
         node = NodePlan(SERVER, "", wiring | fleet.federated_server.parameters)
-        plans.append(ProcessPlan(SERVER, (node,)))
+        plans.append(ProcessPlan(SERVER, (node,), first=True))
     if fleet.twin and fleet.twin.enabled:
         files_of = [str(calibration_file(camera, base, output)) for camera in cameras]
         wiring = {
@@ -107,10 +109,10 @@ def plan_nodes(
             "calibrations": " ".join(files_of),
         }
         bridge = NodePlan("sumo_bridge", "", wiring | fleet.twin.parameters)
-        plans.append(ProcessPlan(TWIN, (bridge,)))
+        plans.append(ProcessPlan(TWIN, (bridge,), first=True))
     if fleet.viewer and fleet.viewer.enabled:
         where: dict[str, Value] = {"host": fleet.viewer.host, "port": fleet.viewer.port}
-        plans.append(ProcessPlan(VIEWER, (NodePlan("viewer", "", where),)))
+        plans.append(ProcessPlan(VIEWER, (NodePlan("viewer", "", where),), first=True))
     plans += [ProcessPlan(c.id, tuple(camera_nodes(c, fleet, base, output, keys))) for c in cameras]
     return tuple(plans)
 

@@ -87,8 +87,8 @@ class Supervisor:
     """Runs the processes of a fleet.
 
     Args:
-        plans: In the order in which they start; each waits for the first heartbeat of the one
-            before, so that what others need is there first.
+        plans: In the order in which they start. Those that are marked `first` are waited for; at
+            most one per core is starting at a time, so that none is taken for hanging.
         output: Folder; logs go to `logs/<process>.log` in it, plans to `plans/`.
         environment: Variables that go before this process's own.
         on_event: Told process and sentence whenever one starts, ends or is replaced.
@@ -112,6 +112,7 @@ class Supervisor:
         self._on_event = on_event
         self._command = command or group_command
         self._timing = timing or Timing()
+        self._at_once = os.cpu_count() or 1
         self._selector = selectors.DefaultSelector()
         for folder in ("logs", "plans"):
             (output / folder).mkdir(parents=True, exist_ok=True)
@@ -126,13 +127,17 @@ class Supervisor:
         for key, _ in self._selector.select(timeout_s):
             self._take_heartbeat(key.data)
         now = time.monotonic()
-        blocked = False
         for member in self.members.values():
             self._watch(member, now)
-            if member.state is State.WAITING and not blocked and now >= member._due_s:
+        members = self.members.values()
+        free = self._at_once - sum(m.state is State.STARTING for m in members)
+        for member in members:
+            if member.state is State.WAITING and free > 0 and now >= member._due_s:
                 self._start(member, now)
-            # One after the other at first; a member that is being replaced holds nobody up.
-            blocked = blocked or (member.state is not State.RUNNING and member.restarts == 0)
+                free -= 1
+            # A member that is being replaced holds nobody up.
+            if member.plan.first and member.state is not State.RUNNING and member.restarts == 0:
+                break
 
     def stop(self) -> None:
         """End all processes: Ctrl-C first, then SIGTERM, then SIGKILL, within `Timing.kill_s`."""

@@ -4,7 +4,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -36,14 +36,14 @@ Make = Callable[..., Supervisor]
 def make(tmp_path: Path) -> Iterator[Make]:
     made: list[Supervisor] = []
 
-    def build(*names: str, timing: Timing = QUICK) -> Supervisor:
+    def build(*names: str, timing: Timing = QUICK, first: Sequence[str] = ()) -> Supervisor:
         def command(plan_file: Path, descriptor: int) -> list[str]:
             behaviour = BEHAVIOURS[plan_file.stem.partition("_")[0]]
             return [sys.executable, "-c", PROGRAM + behaviour, str(descriptor)]
 
         made.append(
             Supervisor(
-                [ProcessPlan(name, ()) for name in names],
+                [ProcessPlan(name, (), first=name in first) for name in names],
                 tmp_path,
                 on_event=lambda name, text: events.append((name, text)),
                 command=command,
@@ -82,11 +82,24 @@ def is_gone(pid: int) -> bool:
     return False
 
 
-def test_each_process_waits_for_the_one_before(make: Make) -> None:
-    supervisor = make("steady_a", "steady_b", "steady_c")
+def test_what_others_need_runs_before_they_start(make: Make) -> None:
+    supervisor = make("steady_a", "steady_b", "steady_c", first=["steady_a", "steady_b"])
     run_until(supervisor, lambda: supervisor.all_running)
     order = [name for name, text in events if "running" in text or text.startswith("started")]
     assert order == ["steady_a"] * 2 + ["steady_b"] * 2 + ["steady_c"] * 2
+
+
+def test_no_more_processes_start_at_once_than_there_are_cores(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    supervisor = make(*(f"steady_{k}" for k in range(5)))
+    run_until(supervisor, lambda: supervisor.all_running)
+    starting = most = 0
+    for _, text in events:
+        starting += 1 if text.startswith("started") else -1
+        most = max(most, starting)
+    assert most == 2
 
 
 def test_a_killed_process_comes_back_and_the_others_stay(make: Make) -> None:
@@ -118,7 +131,7 @@ def test_a_process_that_keeps_failing_is_tried_ever_more_rarely(make: Make, tmp_
 
 
 def test_a_failing_process_holds_up_only_those_that_were_never_up(make: Make) -> None:
-    supervisor = make("fails", "steady")
+    supervisor = make("fails", "steady", first=["fails"])
     run_until(supervisor, lambda: supervisor.members["steady"].state is State.RUNNING)
 
 
