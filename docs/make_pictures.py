@@ -28,25 +28,15 @@ from geoorbit_ros.calibration.box_projector import BoxProjector
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.core.lanes import Lane, LaneMap
 from geoorbit_ros.core.resources import share_path
-from geoorbit_ros.lanes.centerlines import LARGE_WEIGHT
+from geoorbit_ros.lanes.candidates import find_ridges
 from geoorbit_ros.lanes.corridors import Corridor, find_corridors
-from geoorbit_ros.lanes.curvilinear import (
-    BLUR_PER_SMOOTHING_M,
-    FEW_BETWEEN_LANES,
-    MIN_HEIGHT,
-    PROMINENCE_PER_ANGLE,
-)
-from geoorbit_ros.lanes.density import Density, find_crests, lateral_density
 from geoorbit_ros.lanes.evidence import Evidence
 from geoorbit_ros.lanes.factory import make_estimator
-from geoorbit_ros.lanes.junctions import hand_over, lane_directions
 from geoorbit_ros.lanes.mapper import LaneMapper
-from geoorbit_ros.lanes.members import keeping_lane
 from geoorbit_ros.lanes.parameters import LaneParameters
 from geoorbit_ros.lanes.passes import Passes
 from geoorbit_ros.lanes.pipeline import StampedRows, map_lanes, project_frames
-from geoorbit_ros.lanes.profiles import Profiles, lateral_profiles
-from geoorbit_ros.lanes.ridges import Ridge, separate, trace_ridges
+from geoorbit_ros.lanes.profiles import lateral_profiles
 from geoorbit_ros.lanes.spine import RUN_OUT_M
 from geoorbit_ros.scenes.scene import load_scene
 from geoorbit_ros.scenes.simulate import SceneRun, simulate
@@ -96,15 +86,6 @@ class Camera:
     lane_map: LaneMap
 
 
-@dataclass(frozen=True)
-class Stages:
-    """The stages between a corridor and its lanes."""
-
-    profiles: Profiles
-    density: Density
-    ridges: list[Ridge]
-
-
 def look_through(scene: str) -> Camera:
     """Run a shipped scene and the estimator on it."""
     run = simulate(load_scene(share_path(f"params/scenes/{scene}.yaml")), DURATION_S, SEED)
@@ -116,24 +97,6 @@ def look_through(scene: str) -> Camera:
     passes, worth = evidence.passes()
     lane_map = map_lanes(tracks, LaneMapper(make_estimator("curvilinear"), THETA))
     return Camera(run, tracks, passes, worth, find_corridors(passes), lane_map)
-
-
-def find_stages(camera: Camera, corridor: Corridor) -> Stages:
-    """Profiles, density and ridges of one corridor, as the estimator computes them."""
-    profiles = lateral_profiles(corridor, camera.passes, camera.worth)
-    large = camera.passes.large[profiles.passes]
-    trust = np.where(large, LARGE_WEIGHT, 1.0)[:, None] * np.ones(profiles.seen.shape)
-    for last in (False, True):
-        density = lateral_density(profiles, BLUR_PER_SMOOTHING_M * THETA.smoothing, trust)
-        crests = find_crests(density, MIN_HEIGHT, PROMINENCE_PER_ANGLE * THETA.angle)
-        ridges = separate(hand_over(trace_ridges(crests), len(profiles.station_m)))
-        if not last:
-            directions = lane_directions(ridges, profiles.step_m)
-            keeping = keeping_lane(profiles, ridges, directions, corridor.scale_m)
-            if np.mean(keeping[profiles.seen]) >= 1.0 - FEW_BETWEEN_LANES:
-                break
-            trust *= keeping
-    return Stages(profiles, density, ridges)
 
 
 def draw_hero(camera: Camera) -> Figure:
@@ -255,7 +218,7 @@ def draw_corridors(cameras: Sequence[Camera]) -> Figure:
             colour = COLOURS[k % len(COLOURS)]
             nodes = turn(camera.passes.xy[corridor.node])
             axes.plot(*nodes.T, ".", color=colour, ms=2.0, alpha=0.5)
-            if len(np.unique(camera.passes.pass_of_node()[corridor.node])) < 3:
+            if len(np.unique(camera.passes.owner[corridor.node])) < 3:
                 continue
             spine = corridor.spine
             low, high = corridor.s.min(), corridor.s.max()
@@ -275,8 +238,9 @@ def draw_corridors(cameras: Sequence[Camera]) -> Figure:
 
 def draw_density(camera: Camera) -> Figure:
     """Stage 3: density over (s, d), its crests, and one section through it."""
-    stages = find_stages(camera, camera.corridors[0])
-    profiles, density = stages.profiles, stages.density
+    profiles = lateral_profiles(camera.corridors[:1], camera.passes, camera.worth)
+    stages = find_ridges(profiles, camera.passes.large[profiles.passes], THETA)
+    density = stages.density
     figure, (plane, section) = plt.subplots(
         1, 2, figsize=(9.0, 4.2), width_ratios=(7, 3), sharey=True, layout="constrained"
     )
@@ -291,7 +255,7 @@ def draw_density(camera: Camera) -> Figure:
         xlabel="s, metres along the corridor",
         ylabel="d, metres to the left",
         ylim=(used.min(), used.max()),
-        xlim=(s[profiles.seen.any(axis=0)].min(), s[profiles.seen.any(axis=0)].max()),
+        xlim=(s[profiles.station.min()], s[profiles.station.max()]),
     )
     plane.set_title("3. Density of vehicles in road coordinates, and its crests")
     section.plot(density.value[at], density.offset_m, color=COLOURS[0])

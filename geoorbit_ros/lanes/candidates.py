@@ -42,10 +42,25 @@ class Candidate:
     evidence: LaneEvidence
 
 
-def find_candidates(
-    profiles: Profiles, large: NDArray[np.bool_], parameters: LaneParameters
-) -> tuple[list[Candidate], Density]:
-    """The candidate lanes, by corridor and from left to right, and the density they crest in.
+@dataclass(frozen=True, slots=True)
+class Traced:
+    """Ridges in the density of traffic.
+
+    Attributes:
+        density: The density.
+        ridges: Its crests that can be lanes.
+        directions: Slope of driving along each of them.
+        trust: (S,) how well each sample of the profiles shows its lane's middle.
+    """
+
+    density: Density
+    ridges: list[Ridge]
+    directions: list[NDArray[np.float64]]
+    trust: NDArray[np.float64]
+
+
+def find_ridges(profiles: Profiles, large: NDArray[np.bool_], parameters: LaneParameters) -> Traced:
+    """The crests along which vehicles drive.
 
     Args:
         profiles: Where vehicles drive.
@@ -54,17 +69,36 @@ def find_candidates(
     """
     raster = Raster(profiles, BLUR_PER_SMOOTHING_M * parameters.smoothing)
     prominence = PROMINENCE_PER_ANGLE * parameters.angle
-    trust = np.where(large, LARGE_WEIGHT, 1.0)[profiles.row]
-    density, ridges, directions = _crests(profiles, raster, trust, prominence)
+    weight = profiles.weight[profiles.row]
+
+    def trace(trust: NDArray[np.float64]) -> Traced:
+        density = raster.density(weight * trust)
+        crests = find_crests(density, MIN_HEIGHT, prominence)
+        traced = trace_ridges(crests, profiles, weight * trust)
+        ridges = separate(hand_over(traced, len(profiles.station_m)))
+        return Traced(density, ridges, lane_directions(ridges, profiles.step_m), trust)
+
+    found = trace(np.where(large, LARGE_WEIGHT, 1.0)[profiles.row])
     # Once more, without the vehicles that are between lanes: they blur what they cross.
-    keeping = keeping_lane(profiles, ridges, directions)
-    trust *= keeping
+    keeping = keeping_lane(profiles, found.ridges, found.directions)
     if keeping.mean() < 1.0 - FEW_BETWEEN_LANES:
-        density, ridges, directions = _crests(profiles, raster, trust, prominence)
+        return trace(found.trust * keeping)
+    return replace(found, trust=found.trust * keeping)
+
+
+def find_candidates(profiles: Profiles, traced: Traced) -> list[Candidate]:
+    """The candidate lanes, by corridor and from left to right.
+
+    Args:
+        profiles: Where vehicles drive.
+        traced: Ridges in their density.
+    """
+    ridges = traced.ridges
     if not ridges:
-        return [], density
-    members = find_members(profiles, ridges, directions, [is_alone(r, ridges) for r in ridges])
-    lines = fit_centerlines(profiles, ridges, members, trust)
+        return []
+    alone = [is_alone(r, ridges) for r in ridges]
+    members = find_members(profiles, ridges, traced.directions, alone)
+    lines = fit_centerlines(profiles, ridges, members, traced.trust)
     found = []
     for k, line in enumerate(lines):
         length = 0.0 if line is None else (len(line.d) - 1) / STATIONS_PER_SCALE
@@ -80,15 +114,4 @@ def find_candidates(
         found.append(Candidate(corridor, line, float(members.vehicles[k]), evidence))
     straight = straighten_ends([c.line for c in found])
     found = [replace(c, line=line) for c, line in zip(found, straight, strict=True)]
-    return sorted(found, key=lambda c: (c.corridor, -float(np.mean(c.line.d)))), density
-
-
-def _crests(
-    profiles: Profiles, raster: Raster, trust: NDArray[np.float64], prominence: float
-) -> tuple[Density, list[Ridge], list[NDArray[np.float64]]]:
-    """Density, the crests in it that can be lanes, and the direction of driving along each."""
-    weight = profiles.weight[profiles.row] * trust
-    density = raster.density(weight)
-    traced = trace_ridges(find_crests(density, MIN_HEIGHT, prominence), profiles, weight)
-    ridges = separate(hand_over(traced, len(profiles.station_m)))
-    return density, ridges, lane_directions(ridges, profiles.step_m)
+    return sorted(found, key=lambda c: (c.corridor, -float(np.mean(c.line.d))))

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.lanes import LaneMap
-from geoorbit_ros.lanes.candidates import find_candidates
+from geoorbit_ros.lanes.candidates import find_candidates, find_ridges
 from geoorbit_ros.lanes.confidence import LaneEvidence, judge
 from geoorbit_ros.lanes.corridors import Corridor, find_corridors
 from geoorbit_ros.lanes.evidence import Evidence
@@ -80,8 +80,9 @@ class CurvilinearEstimator:
         if not corridors:
             return LaneMap(stamp_ns, ())
         profiles = lateral_profiles(corridors, passes, worth)
-        candidates, density = find_candidates(profiles, passes.large[profiles.passes], parameters)
-        sections = cross_sections(candidates, corridors, profiles, density)
+        traced = find_ridges(profiles, passes.large[profiles.passes], parameters)
+        candidates = find_candidates(profiles, traced)
+        sections = cross_sections(candidates, corridors, profiles, traced.density)
         lanes = shape_lanes(candidates, corridors, profiles, parameters.width_scale)
         matched = self._registry.match(lanes)
         lanes = [

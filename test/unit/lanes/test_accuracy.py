@@ -67,12 +67,11 @@ def test_centrelines_and_widths_are_where_they_belong(scene: str) -> None:
     assert np.mean([abs(row.width_error_m) for row in result.confirmed]) <= 0.15
 
 
-def test_clean_tracks_give_the_centreline_to_five_centimetres() -> None:
-    run = simulate(load_scene("motorway_4x4"), 200.0, 1)
-    stride = len(run.clean.rows) // 20_000
-    mapper = LaneMapper(make_estimator("curvilinear"))
-    frames = range(0, len(run.clean), stride)
+def test_a_minute_of_clean_tracks_gives_the_centreline_to_five_centimetres() -> None:
+    run = minute("motorway_4x4")
+    frames = range(0, len(run.clean), round(len(run.clean.rows) / 20_000))
     tracks = [(int(run.clean.stamp_ns[k]), run.clean.frame(k)) for k in frames]
+    mapper = LaneMapper(make_estimator("curvilinear"))
     assert score_lanes(map_lanes(tracks, mapper).lanes, run.truth).centerline_mean_m <= 0.05
 
 
