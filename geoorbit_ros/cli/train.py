@@ -72,7 +72,7 @@ def train(
     )
     table = make_table(
         f"Fleet {study.fleet.name}",
-        "estimator|mode|>seed|>rounds|>parameter loss|>total loss, seen|>bytes",
+        "estimator|mode|>seed|>rounds|>parameter loss|>total loss, seen|>bytes|judged",
     )
     for name in estimator or list(EstimatorName):
         with shown_progress() as progress:
@@ -94,6 +94,7 @@ def train(
                 f"{first.parameter_loss:.3f} → {last.parameter_loss:.3f}",
                 f"{first.composite_loss:.1f} → {last.composite_loss:.1f}",
                 f"{model.traffic.total_bytes:,}" if model.traffic.total_bytes else "–",
+                "better" if model.acceptance.accepted else "[yellow]defaults kept[/]",
             )
     console.print(table)
     console.print(f" Wrote {out}; next: geoorbit evaluate --out {out}", soft_wrap=True)

@@ -11,7 +11,12 @@ from numpy.typing import NDArray
 from geoorbit_ros.core.errors import InputFileError
 from geoorbit_ros.learning.camera_task import load_task, required
 from geoorbit_ros.learning.fleet import Split
-from geoorbit_ros.learning.fleet_cameras import FleetCamera, best_parameters
+from geoorbit_ros.learning.fleet_cameras import (
+    FleetCamera,
+    best_parameters,
+    examples_of,
+    teachers_and_judges,
+)
 from geoorbit_ros.learning.lane_embedding import shipped_embedding
 from geoorbit_ros.learning.model_file import load_model
 from geoorbit_ros.learning.objective import DECIMALS, detect_lanes
@@ -72,20 +77,20 @@ def evaluate(study: Study, estimator: str, progress: Progress = quiet) -> list[M
     """Judge the fixed parameters and every trained model of an estimator.
 
     * Baseline: the default parameters on every camera.
-    * One for all: the mean of the seen cameras' theta*, on every camera: what can be had without
+    * One for all: the mean of the teachers' theta*, on every camera: what can be had without
       looking at the scene.
     * Meta, FedMeta: the trained models, one row per seed.
-    * Searched: theta* of each seen camera, which no camera without a reference can have.
+    * Searched: theta* of each seen camera that taught, which none without a reference can have.
 
     Raises:
         InputFileError: Nothing was trained for this estimator.
     """
     cameras = study.cameras(progress)
-    seen = [camera for camera in cameras if camera.split == "seen"]
+    seen, _ = teachers_and_judges(cameras)
     best = best_parameters(
         seen, estimator, study.folder / CAMERAS, study.workers, progress=progress
     )
-    common = np.mean([best[camera.camera_id].theta for camera in seen], axis=0)
+    common = np.mean([e.targets[0] for e in examples_of(seen, best).values()], axis=0)
     features = np.array([camera.features for camera in cameras])
     plans: list[tuple[str, int, Array]] = [
         (BASELINE, 0, np.tile(DEFAULT_UNIT, (len(cameras), 1))),
@@ -110,7 +115,7 @@ def evaluate(study: Study, estimator: str, progress: Progress = quiet) -> list[M
         found = {camera.camera_id: next(results) for camera in cameras}
         rows += [_row(name, seed, split, cameras, found) for split in ("seen", "unseen")]
     found = {camera.camera_id: next(results) for camera in seen}
-    return [*rows, _row(SEARCHED, 0, "seen", cameras, found)]
+    return [*rows, ModelResult(SEARCHED, 0, "seen", found)]
 
 
 def _row(

@@ -28,6 +28,9 @@ from geoorbit_ros.storage.atomic import atomic_output
 
 Array = NDArray[np.float64]
 
+JUDGES = 4
+"""One in so many seen cameras is a judge."""
+
 
 @dataclass(frozen=True, slots=True)
 class FleetCamera:
@@ -115,11 +118,24 @@ def best_parameters(
 
 
 def examples_of(cameras: list[FleetCamera], best: dict[str, SearchResult]) -> dict[str, Examples]:
-    """What each camera has to learn from."""
+    """What each camera has to learn from; those without a lane at any theta have nothing."""
     return {
         camera.camera_id: Examples(camera.features[None, :], best[camera.camera_id].theta[None, :])
         for camera in cameras
+        if best[camera.camera_id].found
     }
+
+
+def teachers_and_judges(
+    cameras: list[FleetCamera],
+) -> tuple[list[FleetCamera], list[FleetCamera]]:
+    """The seen cameras, split: the last quarter only judges whether learning has brought anything.
+
+    Cameras of a fleet are in no order, so the last ones are as good as any.
+    """
+    seen = [camera for camera in cameras if camera.split == "seen"]
+    judges = len(seen) // JUDGES
+    return seen[: len(seen) - judges], seen[len(seen) - judges :]
 
 
 def _make(fleet: Fleet, job: tuple[str, int, Path]) -> None:
@@ -144,7 +160,11 @@ def _read_results(path: Path, settings: dict[str, float]) -> dict[str, SearchRes
             return {}
         return {
             name: SearchResult(
-                np.array(row["theta"]), row["total"], row["default_total"], row["runs"]
+                np.array(row["theta"]),
+                row["total"],
+                row["default_total"],
+                row["runs"],
+                row["found"],
             )
             for name, row in content["cameras"].items()
         }
@@ -161,6 +181,7 @@ def _write_results(
             "total": result.total,
             "default_total": result.default_total,
             "runs": result.runs,
+            "found": result.found,
         }
         for name, result in results.items()
     }

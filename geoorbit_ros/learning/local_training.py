@@ -43,12 +43,17 @@ class TrainingSettings:
         steps: Gradient steps per round, on all examples at once.
         learning_rate: Of plain gradient descent. Neither momentum nor adaptive steps: their state
             would have to stay on the camera between rounds, and FedAvg assumes none.
-        weight_decay: Pull of every weight towards zero, that is of theta towards its defaults.
+        weight_decay: Pull of all weights, not of biases, towards zero: towards one theta for all.
+        feature_noise: Standard deviation of the noise added to the features at every step. A fleet
+            has fewer cameras than the network has weights; noise as large as the differences
+            between cameras keeps it from telling each of them by heart (Bishop 1995, Training with
+            noise is equivalent to Tikhonov regularization).
     """
 
-    steps: int = 20
+    steps: int = 10
     learning_rate: float = 0.3
     weight_decay: float = 1e-3
+    feature_noise: float = 1.0
 
     def __post_init__(self) -> None:
         if self.steps < 1 or not self.learning_rate > 0.0 or not self.weight_decay >= 0.0:
@@ -66,6 +71,7 @@ def train_locally(
     examples: Examples,
     settings: TrainingSettings | None = None,
     proximal: float = 0.0,
+    seed: int = 0,
 ) -> tuple[Tensors, int, dict[str, float]]:
     """Gradient steps from phi on some examples.
 
@@ -74,6 +80,7 @@ def train_locally(
         examples: The camera's; at least one.
         settings: Steps, learning rate, weight decay.
         proximal: mu of FedProx (Li et al. 2020): adds mu/2 |phi - phi_0|^2 to the loss.
+        seed: Of the noise on the features.
 
     Returns:
         New minus old phi, the number of examples, and `parameter_loss` before and after.
@@ -85,10 +92,14 @@ def train_locally(
     features = torch.tensor(examples.features, dtype=torch.float32)
     targets = torch.tensor(examples.targets, dtype=torch.float32)
     optimiser = torch.optim.SGD(phi.values(), chosen.learning_rate)
+    random = np.random.default_rng([seed, 16])
     for _ in range(chosen.steps):
-        loss = (forward(phi, features) - targets).square().sum(1).mean()
+        noise = chosen.feature_noise * random.standard_normal(examples.features.shape)
+        blurred = features + torch.tensor(noise, dtype=torch.float32)
+        loss = (forward(phi, blurred) - targets).square().sum(1).mean()
         for name, value in phi.items():
-            loss = loss + 0.5 * chosen.weight_decay * value.square().sum()
+            if name.endswith("weight"):
+                loss = loss + 0.5 * chosen.weight_decay * value.square().sum()
             if proximal:
                 loss = loss + 0.5 * proximal * (value - start[name]).square().sum()
         optimiser.zero_grad()

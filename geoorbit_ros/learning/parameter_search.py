@@ -10,6 +10,7 @@ from scipy.optimize import differential_evolution
 
 from geoorbit_ros.learning.objective import Objective
 from geoorbit_ros.learning.parameter_space import DEFAULT_UNIT
+from geoorbit_ros.metrics.composite import LaneLosses
 
 Array = NDArray[np.float64]
 
@@ -33,12 +34,15 @@ class SearchResult:
         total: Its L_total.
         default_total: L_total of the default parameters.
         runs: How many times the lanes were estimated.
+        found: Whether any lane was found with it: a camera on which no theta finds one has nothing
+            to teach.
     """
 
     theta: Array
     total: float
     default_total: float
     runs: int
+    found: bool
 
 
 def search_theta(
@@ -61,10 +65,7 @@ def search_theta(
 
     def cost(theta: Array) -> float:
         gone = float(np.sum((theta - origin) ** 2))
-        losses = objective.losses(theta)
-        if losses.detected == 0:
-            return NOTHING_FOUND + stay * gone
-        return float(np.log(losses.total + LOSS_FLOOR)) + stay * gone
+        return log_loss(objective.losses(theta)) + stay * gone
 
     found = differential_evolution(
         cost,
@@ -80,9 +81,21 @@ def search_theta(
     theta = np.asarray(found.x, dtype=np.float64)
     if cost(origin) <= cost(theta):
         theta = origin
+    best = objective.losses(theta)
     return SearchResult(
-        theta, objective.total(theta), objective.total(DEFAULT_UNIT), objective.runs - before
+        theta,
+        best.total,
+        objective.total(DEFAULT_UNIT),
+        objective.runs - before,
+        best.detected > 0,
     )
+
+
+def log_loss(losses: LaneLosses) -> float:
+    """ln(L_total + 1), or `NOTHING_FOUND`: how cameras with large and small losses are compared."""
+    if losses.detected == 0:
+        return NOTHING_FOUND
+    return float(np.log(losses.total + LOSS_FLOOR))
 
 
 def _first_population(origin: Array, seed: int) -> Array:

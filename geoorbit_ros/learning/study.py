@@ -11,12 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import InputFileError
+from geoorbit_ros.learning.acceptance import acceptance
 from geoorbit_ros.learning.fleet import Fleet, load_fleet
 from geoorbit_ros.learning.fleet_cameras import (
     FleetCamera,
     best_parameters,
     examples_of,
     fleet_cameras,
+    teachers_and_judges,
 )
 from geoorbit_ros.learning.history import Round, save_history
 from geoorbit_ros.learning.loss_table import LossTable
@@ -86,14 +88,23 @@ def train_study(
     settings: RunSettings,
     progress: Progress = quiet,
 ) -> dict[tuple[Mode, int], TrainedModel]:
-    """Train and write one model per mode and seed."""
-    cameras = [camera for camera in study.cameras(progress) if camera.split == "seen"]
+    """Train one model per mode and seed, and write each; a rejected one becomes the defaults.
+
+    A model is accepted only if the judges among the seen cameras, from which it has learned
+    nothing, find it better than the default parameters (`acceptance`).
+
+    Raises:
+        InputFileError: No seen camera on which a lane can be found.
+    """
+    teachers, judges = teachers_and_judges(study.cameras(progress))
     best = best_parameters(
-        cameras, estimator, study.folder / CAMERAS, study.workers, progress=progress
+        teachers, estimator, study.folder / CAMERAS, study.workers, progress=progress
     )
-    examples = examples_of(cameras, best)
+    examples = examples_of(teachers, best)
+    if not examples:
+        raise InputFileError(str(study.folder), "no seen camera with a lane", "more traffic")
     table = LossTable(
-        {camera.camera_id: camera.path for camera in cameras},
+        {camera.camera_id: camera.path for camera in [*teachers, *judges]},
         estimator,
         "supervision",
         study.workers,
@@ -114,14 +125,36 @@ def train_study(
                 progress(what, entry.number / (settings.rounds + 1))
 
             model = train(mode, examples, composite, chosen, show)
+            model = judged(model, judges, table, seed)
             models[mode, seed] = model
             _write_model(study.model_path(estimator, mode, seed), model, chosen)
     return models
 
 
+def judged(
+    model: TrainedModel, judges: Sequence[FleetCamera], table: LossTable, seed: int
+) -> TrainedModel:
+    """The model as it is published: itself, or one that predicts the defaults."""
+    fixed = MetaLearner.untrained(seed)
+    asked = [
+        (camera.camera_id, learner.predict_unit(camera.features))
+        for learner in (model.learner, fixed)
+        for camera in judges
+    ]
+    losses = table.losses(asked)
+    found = acceptance(losses[: len(judges)], losses[len(judges) :])
+    if found.accepted:
+        return replace(model, acceptance=found)
+    return replace(model, learner=fixed, acceptance=found)
+
+
 def _write_model(path: Path, model: TrainedModel, settings: RunSettings) -> None:
     save_model(model.learner, path)
     save_history(model.rounds, path.with_suffix(".csv"))
-    about = {"settings": asdict(settings), "traffic": asdict(model.traffic)}
+    about = {
+        "settings": asdict(settings),
+        "traffic": asdict(model.traffic),
+        "acceptance": asdict(model.acceptance),
+    }
     with atomic_output(path.with_suffix(".json")) as temporary:
         temporary.write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")

@@ -18,6 +18,7 @@ from geoorbit_ros.federated.server import FederatedServer
 from geoorbit_ros.federated.server_config import ServerConfig
 from geoorbit_ros.federated.strategies.factory import make_strategy
 from geoorbit_ros.federated.traffic import Traffic
+from geoorbit_ros.learning.acceptance import NOBODY_ASKED, Acceptance
 from geoorbit_ros.learning.features import FEATURE_NAMES
 from geoorbit_ros.learning.history import Round
 from geoorbit_ros.learning.local_training import (
@@ -47,6 +48,9 @@ class RunSettings:
         clients_per_round: Cameras that train in a federated round; 0: all.
         strategy: A name of `federated.strategies.factory`.
         encoding: A name of `federated.encodings.factory`.
+        loss_every: Lanes are estimated anew in every so-many-th round only, the first and the last
+            included; between them cameras report what they measured last. With `stop_below`, in
+            every round.
         training: What happens between two rounds.
         seed: Of the first weights and of the selection of clients.
     """
@@ -56,8 +60,14 @@ class RunSettings:
     clients_per_round: int = 0
     strategy: str = "fedavg"
     encoding: str = "float32"
+    loss_every: int = 5
     training: TrainingSettings = field(default_factory=TrainingSettings)
     seed: int = 0
+
+    @property
+    def loss_period(self) -> int:
+        """Rounds from one measurement of the composite loss to the next."""
+        return self.loss_every if np.isnan(self.stop_below) else 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,11 +78,13 @@ class TrainedModel:
         learner: f_phi.
         rounds: Its history; the last entry is the final model, one beyond the last round.
         traffic: What crossed the wire; nothing in central training.
+        acceptance: What cameras that took no part say of it.
     """
 
     learner: MetaLearner
     rounds: tuple[Round, ...]
     traffic: Traffic
+    acceptance: Acceptance = NOBODY_ASKED
 
 
 def train(
@@ -88,51 +100,55 @@ def train(
     has all examples in one place, the other leaves each on its camera.
     """
     history: list[Round] = []
+    known: dict[str, float] = {}
 
-    def note(learner: MetaLearner) -> Round:
+    def measure(learner: MetaLearner, last: bool = False) -> dict[str, float]:
+        """Note a round; L_total by camera, as last measured."""
+        names = list(examples)
+        if last or len(history) % settings.loss_period == 0:
+            known.update(zip(names, composite(learner, names).tolist(), strict=True))
         loss = np.concatenate([parameter_loss(learner, e) for e in examples.values()])
-        total = float(np.mean(composite(learner, list(examples))))
+        total = float(np.mean(list(known.values())))
         history.append(Round(len(history) + 1, float(loss.mean()), float(loss.std()), total))
         if on_round:
             on_round(history[-1])
-        return history[-1]
+        return known
 
     start = MetaLearner.untrained(settings.seed)
     run = _train_central if mode == "central" else _train_federated
-    learner, traffic = run(examples, composite, settings, start, note)
-    note(learner)
+    learner, traffic = run(examples, settings, start, measure)
+    measure(learner, last=True)
     return TrainedModel(learner, tuple(history), traffic)
 
 
-_Note = Callable[[MetaLearner], Round]
+_Measure = Callable[[MetaLearner], dict[str, float]]
 
 
 def _train_central(
     examples: dict[str, Examples],
-    _composite: CompositeLoss,
     settings: RunSettings,
     learner: MetaLearner,
-    note: _Note,
+    measure: _Measure,
 ) -> tuple[MetaLearner, Traffic]:
     everything = Examples(
         np.concatenate([e.features for e in examples.values()]),
         np.concatenate([e.targets for e in examples.values()]),
     )
-    for _ in range(settings.rounds):
-        if note(learner).composite_loss <= settings.stop_below:
+    for number in range(1, settings.rounds + 1):
+        if np.mean(list(measure(learner).values())) <= settings.stop_below:
             break
         tensors = learner.tensors()
-        delta, _, _ = train_locally(tensors, everything, settings.training)
+        noise = _noise_seed(settings, number, 0)
+        delta, _, _ = train_locally(tensors, everything, settings.training, seed=noise)
         learner = MetaLearner.from_tensors({name: tensors[name] + delta[name] for name in tensors})
     return learner, Traffic()
 
 
 def _train_federated(
     examples: dict[str, Examples],
-    composite: CompositeLoss,
     settings: RunSettings,
     learner: MetaLearner,
-    note: _Note,
+    measure: _Measure,
 ) -> tuple[MetaLearner, Traffic]:
     interface = interface_digest(FEATURE_NAMES, PARAMETER_NAMES)
     config = ServerConfig(
@@ -153,16 +169,24 @@ def _train_federated(
     def train_many(asked: Sequence[tuple[FederatedClient, Work]]) -> list[LocalResult]:
         if not asked:
             return []
-        learner = MetaLearner.from_tensors(asked[0][1].tensors)
-        note(learner)
-        losses = composite(learner, [client.camera_id for client, _ in asked])
+        losses = measure(MetaLearner.from_tensors(asked[0][1].tensors))
         results = []
-        for (client, work), loss in zip(asked, losses, strict=True):
+        for client, work in asked:
             delta, count, _ = train_locally(
-                work.tensors, examples[client.camera_id], settings.training, work.order.proximal_mu
+                work.tensors,
+                examples[client.camera_id],
+                settings.training,
+                work.order.proximal_mu,
+                _noise_seed(settings, work.round, client.id),
             )
-            results.append(LocalResult(delta, count, float(loss)))
+            results.append(LocalResult(delta, count, losses[client.camera_id]))
         return results
 
     traffic = run_in_process(server, clients, train_many)
     return MetaLearner.from_tensors(server.published), traffic
+
+
+def _noise_seed(settings: RunSettings, number: int, client: int) -> int:
+    """Other noise in each round and on each camera, the same in each repetition."""
+    sequence = np.random.SeedSequence([settings.seed, number, client])
+    return int(sequence.generate_state(1)[0])

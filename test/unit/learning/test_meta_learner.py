@@ -102,7 +102,7 @@ def test_parameter_loss_is_the_papers_sum_of_squares() -> None:
 
 def test_training_lowers_the_loss_and_is_repeatable() -> None:
     examples, start = some_examples(), MetaLearner.untrained(0)
-    settings_ = TrainingSettings(steps=300)
+    settings_ = TrainingSettings(steps=300, feature_noise=0.0)
     delta, count, metrics = train_locally(start.tensors(), examples, settings_)
     assert count == len(examples)
     assert metrics["parameter_loss"] < 0.25 * metrics["parameter_loss_before"]
@@ -112,7 +112,7 @@ def test_training_lowers_the_loss_and_is_repeatable() -> None:
 
 def test_one_gradient_step_averaged_over_cameras_is_the_central_step() -> None:
     examples, start = some_examples(12), random_learner(6).tensors()
-    one = TrainingSettings(steps=1)
+    one = TrainingSettings(steps=1, feature_noise=0.0)
     central, _, _ = train_locally(start, examples, one)
     parts = [
         train_locally(start, Examples(examples.features[[k]], examples.targets[[k]]), one)[0]
