@@ -145,6 +145,7 @@ def test_cameras_on_hosts_of_their_own_train_with_a_server_on_a_third(
             camera,
             key,
             public,
+            str(tmp_path),
             ROS_DISCOVERY_SERVER=meeting,
         )
 
