@@ -11,6 +11,7 @@ from geoorbit_ros.core.lanes import Lane, LaneMap
 from geoorbit_ros.core.tables import TRACK_DTYPE, Frames, frames_from_rows
 from geoorbit_ros.lanes.curvilinear import CurvilinearEstimator
 from geoorbit_ros.lanes.parameters import LaneParameters
+from geoorbit_ros.metrics.polyline import project
 
 LANE_M = 3.6
 
@@ -179,6 +180,34 @@ def test_cutting_frames_into_other_calls_changes_nothing() -> None:
             estimator.add(int(stamp_ns), np.array([row]))
     again = estimator.lanes(LaneParameters())
     assert [_bits(a) for a in whole.lanes] == [_bits(b) for b in again.lanes]
+
+
+def test_a_road_elsewhere_changes_nothing() -> None:
+    here = traffic([Stream(arc(200.0, 0.0, k * LANE_M), 12) for k in range(3)])
+    there = traffic(
+        [Stream(straight(2.0, 300.0 + k * LANE_M), 9, speed_mps=12.0) for k in range(2)], seed=3
+    )
+    alone = [*lanes_of(here).lanes, *lanes_of(there).lanes]
+    together = lanes_of(joined(here, there)).lanes
+    assert len(together) == len(alone)
+    for lane in alone:
+        away = [project(lane.centerline_m, t.centerline_m).offset_m for t in together]
+        twin = int(np.argmin([np.median(np.abs(a)) for a in away]))
+        assert np.median(np.abs(away[twin])) < 0.02
+        assert lane.vehicles == pytest.approx(together[twin].vehicles, abs=0.01)
+
+
+def test_frames_between_those_of_fifteen_per_second_change_nothing() -> None:
+    frames = traffic([Stream(straight(0.5, k * LANE_M), 9) for k in range(2)], fps=30.0)
+    number = np.round(frames.stamp_ns * 30e-9).astype(int).tolist()
+    every, half = CurvilinearEstimator(), CurvilinearEstimator()
+    for n in range(number[-1] + 1):
+        rows = frames.frame(number.index(n)) if n in number else frames.rows[:0]
+        every.add(round(n / 30.0 * 1e9), rows)
+        if n % 2 == 0:
+            half.add(round(n / 30.0 * 1e9), rows)
+    found = every.lanes(LaneParameters()).lanes, half.lanes(LaneParameters()).lanes
+    assert [_bits(a) for a in found[0]] == [_bits(b) for b in found[1]]
 
 
 def _bits(lane: Lane) -> tuple[int, bytes, float, float]:

@@ -8,7 +8,10 @@ from traffic import Stream, straight, traffic
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.core.tables import Frames
 from geoorbit_ros.lanes.curvilinear import CurvilinearEstimator
+from geoorbit_ros.lanes.evidence import Evidence
+from geoorbit_ros.lanes.increment import LaneCounter, Strays
 from geoorbit_ros.lanes.parameters import LaneParameters
+from geoorbit_ros.lanes.passes import Passes
 
 LANE_M = 3.6
 MINUTE_NS = 70_000_000_000
@@ -75,3 +78,56 @@ def test_other_parameters_are_obeyed_at_once() -> None:
     plain = estimator.update(LaneParameters())
     wide = estimator.update(LaneParameters(width_scale=2.0))
     assert abs(wide.lanes[0].width_m - 2.0 * plain.lanes[0].width_m) < 1e-9
+
+
+def test_geometry_stays_until_the_evidence_has_doubled() -> None:
+    estimator = CurvilinearEstimator()
+    first = estimator.lanes(LaneParameters())
+    assert first.lanes == ()
+    lines = []
+    for lap, vehicles in enumerate((20, 8, 14)):
+        streams = [Stream(straight(0.0, LANE_M * k), vehicles) for k in (0, 1)]
+        feed(estimator, traffic(streams, seed=lap), lap)
+        lines.append([x.centerline_m.tobytes() for x in estimator.update(LaneParameters()).lanes])
+    assert lines[1] == lines[0]
+    assert lines[2] != lines[1]
+
+
+def passes_at(y_m: float, count: int) -> Passes:
+    """So many vehicles along one line, after each other."""
+    evidence = Evidence()
+    frames = traffic([Stream(straight(0.0, y_m), count, wander_m=0.0)], noise_m=0.01)
+    for k, stamp_ns in enumerate(frames.stamp_ns):
+        evidence.add(int(stamp_ns), frames.frame(k))
+    evidence.add(int(frames.stamp_ns[-1]) + 10_000_000_000, frames.frame(0)[:0])
+    return evidence.passes()[0]
+
+
+def test_strays_are_news_when_three_take_the_same_way() -> None:
+    strays = Strays()
+    ways = [passes_at(20.0 * k, 1) for k in range(5)]
+    assert not any(strays.add(way, np.arange(len(way.xy))) for way in ways)
+    assert not strays.add(ways[0], np.arange(len(ways[0].xy)))
+    assert strays.add(ways[0], np.arange(len(ways[0].xy)))
+
+
+def test_strays_that_made_no_lane_are_news_at_four_times_as_many() -> None:
+    strays = Strays()
+    way = passes_at(0.0, 1)
+    news = []
+    for _ in range(12):
+        news.append(strays.add(way, np.arange(len(way.xy))))
+        if news[-1]:
+            strays.derived()
+    assert [k + 1 for k, new in enumerate(news) if new] == [3, 12]
+
+
+def test_vehicles_in_known_lanes_are_counted_and_no_strays() -> None:
+    estimator = CurvilinearEstimator()
+    feed(estimator, traffic([Stream(straight(0.0, LANE_M * k), 20) for k in (0, 1)]), 0)
+    counter = LaneCounter(estimator.lanes(LaneParameters()).lanes)
+    known, unknown = passes_at(0.0, 4), passes_at(12.0, 2)
+    assert len(counter.add(known)) == 0
+    assert sorted(counter.vehicles.tolist()) == [0, 4]
+    assert len(counter.add(unknown)) == len(unknown.xy)
+    assert sorted(counter.vehicles.tolist()) == [0, 4]
