@@ -13,6 +13,7 @@ from geoorbit_ros.detection.motion_background import RoadBackground
 from geoorbit_ros.detection.motion_blobs import Blob, find_blobs
 from geoorbit_ros.detection.motion_shadow import ShadowModel
 from geoorbit_ros.detection.motion_sizes import VehicleSizes
+from geoorbit_ros.detection.motion_watch import CameraWatch
 from geoorbit_ros.detection.vehicle_classes import CAR, MOTORCYCLE, TRUCK
 
 WORK_WIDTH_PX = 1280
@@ -75,12 +76,13 @@ class MotionDetector:
 
     def _forget(self) -> None:
         self._road, self._shadows, self._sizes = RoadBackground(), ShadowModel(), VehicleSizes()
+        self._watch = CameraWatch()
         self._frames = self._changed = 0
 
     def _blobs(self, stamp_ns: int, picture: Image) -> list[Blob]:
         difference, road = self._road.difference(picture)
         moving = np.asarray(cv2.compare(difference, self._road.contrast, cv2.CMP_GT), np.uint8)
-        if self._is_other_road(moving):
+        if self._is_other_road(stamp_ns, picture, road, moving):
             return []
         near = cv2.dilate(moving, np.ones((SURROUNDINGS_PX, SURROUNDINGS_PX), np.uint8))
         free = np.asarray(cv2.bitwise_not(near), dtype=np.uint8)
@@ -94,8 +96,15 @@ class MotionDetector:
         self._frames += 1
         return blobs
 
-    def _is_other_road(self, moving: NDArray[np.uint8]) -> bool:
-        """Whether the road is not the known one any more; then it is learnt anew."""
+    def _is_other_road(
+        self, stamp_ns: int, picture: Image, road: Image, moving: NDArray[np.uint8]
+    ) -> bool:
+        """Whether the picture shows another road than the known one; then it is learnt anew."""
+        shift = self._watch.shift(stamp_ns, picture, road)
+        if shift is not None:
+            self.relearned += 1
+            self._road.move(shift)
+            return True
         changed = cv2.countNonZero(moving) > CHANGED_SHARE * moving.size
         self._changed = self._changed + 1 if changed else 0
         if self._changed >= CHANGED_FRAMES:

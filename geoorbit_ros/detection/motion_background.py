@@ -64,9 +64,11 @@ class RoadBackground:
         if last is None or not 0 <= stamp_ns - last < self._spacing_s * 1e9:
             self._sampled_ns = stamp_ns
             self._keep(picture)
-        if not self.ready and len(self._samples) == MIN_SAMPLES:
+        if len(self._samples) < MIN_SAMPLES:
+            return
+        if not self.ready:
             self.restart(most_usual(self._samples))
-        elif self._strips and self.ready:
+        elif self._strips:
             rows = self._strips.pop()
             self._correct(rows, most_usual([sample[rows] for sample in self._samples]))
 
@@ -74,7 +76,17 @@ class RoadBackground:
         """Take the next stamp as it comes, be it earlier than the last; the road stays known."""
         self._sampled_ns = self._followed_ns = None
 
-    def restart(self, road: Image) -> None:
+    def move(self, shift_px: NDArray[np.float64]) -> None:
+        """Move the known road (2,) pixels right and down, and learn it anew from there."""
+        matrix = np.array([[1.0, 0.0, shift_px[0]], [0.0, 1.0, shift_px[1]]])
+        size = (self.mean.shape[1], self.mean.shape[0])
+        moved = cv2.warpAffine(self.mean, matrix, size, borderMode=cv2.BORDER_REPLICATE)
+        self.restart(np.asarray(moved))
+        self._samples.clear()
+        self._strips.clear()
+        self._spacing_s = FIRST_SPACING_S
+
+    def restart(self, road: NDArray[np.generic]) -> None:
         """Begin with this picture of the empty road."""
         self.mean = road.astype(np.float32)
         self._deviation = np.full(road.shape[:2], FIRST_DEVIATION, dtype=np.float32)

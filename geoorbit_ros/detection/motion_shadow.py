@@ -24,10 +24,12 @@ HUE = 0.2
 """Channels of a shadow may differ in ratio this much: the sky is bluer than the sun."""
 MEMORY_PIXELS = 300_000.0
 """Evidence decays so that about as many pixels count."""
-MIN_PIXELS = 3000.0
+MIN_PIXELS = 800.0
 """Fewer pixels with a shadow's colour don't say whether there are shadows."""
 MIN_PATTERN = 0.45
 """Share of the ground's pattern that must show through."""
+HIGH_PILE = 0.8
+"""Piles this high beside the highest are as good."""
 _SPREAD = 3
 """Bins of one pile on either side of its top."""
 _STEP = 5
@@ -55,7 +57,7 @@ class ShadowModel:
         where = np.flatnonzero(mask)
         base = road.reshape(-1, 3)[where].astype(np.float32)
         seen = picture.reshape(-1, 3)[where].astype(np.float32)
-        ratio = seen / np.maximum(base, np.float32(1.0))
+        ratio = np.divide(seen, np.maximum(base, 1.0), dtype=np.float32)
         self._learn(picture, road, where[::_STEP], base[::_STEP], ratio[::_STEP])
         if self.ratio is None:
             return mask
@@ -93,17 +95,18 @@ class ShadowModel:
         self._find_pile()
 
     def _find_pile(self) -> None:
-        """The densest stretch of ratios among those through which the ground shows."""
+        """The darkest dense stretch of ratios among those through which the ground shows."""
         kernel = np.ones(2 * _SPREAD + 1)
         count = np.convolve(self._count, kernel, mode="same")
         seen, ground = (np.convolve(column, kernel, mode="same") for column in self._pattern.T)
         level = np.convolve(self._sum[:, 1], kernel, mode="same") / np.maximum(count, 1e-9)
         shown = seen / np.maximum(ground * level, 1e-9)
         likely = np.where((count > MIN_PIXELS) & (shown > MIN_PATTERN), count, 0.0)
-        best = int(np.argmax(likely))
-        if likely[best] <= 0.0:
+        if likely.max() <= 0.0:
             self.ratio = None
             return
+        # Soft edges pile up too, at lighter ratios: the darkest of the high piles is the core.
+        best = int(np.flatnonzero(likely >= HIGH_PILE * likely.max())[0])
         near = slice(max(best - _SPREAD, 0), best + _SPREAD + 1)
         self.ratio = self._sum[near].sum(axis=0) / self._count[near].sum()
 

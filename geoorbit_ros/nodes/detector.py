@@ -48,6 +48,7 @@ class DetectorNode(GeoOrbitNode[DetectorParameters]):
 
     Attributes:
         detections: The publisher of tables.
+        stream: Where the images come from.
 
     Raises:
         GeoOrbitError: A parameter or the model can't be used.
@@ -68,7 +69,7 @@ class DetectorNode(GeoOrbitNode[DetectorParameters]):
             PointCloud2, "detections", stream_qos(p.reliability, p.queue_depth)
         )
         self._found = 0
-        self._stream = ImageStream(self, p, self._on_picture, self._on_restart)
+        self.stream = ImageStream(self, p, self._on_picture, self._on_restart)
         self.diagnostics.add_check(self._fault)
 
     def diagnostic_values(self) -> Mapping[str, object]:
@@ -79,13 +80,13 @@ class DetectorNode(GeoOrbitNode[DetectorParameters]):
             "boxes": self._found,
             "boxes_outside_road_segments": segments.outside if segments else 0,
             "road_segments": len(self._drawn),
-            "dropped": self._stream.dropped,
+            "dropped": self.stream.dropped,
             "detections_subscribers": self.detections.get_subscription_count(),
         }
 
     def close(self) -> None:
         """End the thread."""
-        self._stream.stop()
+        self.stream.stop()
 
     def _make(self) -> Detector:
         p = self.p
@@ -125,7 +126,7 @@ class DetectorNode(GeoOrbitNode[DetectorParameters]):
         """The road stays where it is: nothing is forgotten."""
 
     def _fault(self) -> str | None:
-        error = self._stream.error
+        error = self.stream.error
         return f"stopped by a defect: {type(error).__name__}: {error}" if error else None
 
 

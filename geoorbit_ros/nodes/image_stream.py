@@ -41,7 +41,8 @@ class ImageStream:
         on_restart: Called before the first picture of a source that started again.
 
     Attributes:
-        dropped: Frames that came while the thread was busy and were replaced by newer ones.
+        received: Frames that came.
+        dropped: Of those, frames that newer ones replaced while the thread was busy.
         error: What ended the thread, if anything did.
     """
 
@@ -52,7 +53,7 @@ class ImageStream:
         on_picture: OnPicture,
         on_restart: Callable[[], None],
     ) -> None:
-        self.dropped = 0
+        self.received = self.dropped = 0
         self.error: Exception | None = None
         self._node, self._on_picture, self._on_restart = node, on_picture, on_restart
         self._order = FrameOrder(parameters.restart_jump_s)
@@ -88,6 +89,7 @@ class ImageStream:
                 self._waiting.popleft()
                 self.dropped += 1
             self._waiting.append((cdr, decoder, place))
+            self.received += 1
             self._change.notify_all()
 
     def _alive(self) -> bool:

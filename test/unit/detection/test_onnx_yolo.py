@@ -113,7 +113,7 @@ def test_a_red_vehicle_is_where_it_is(
     left, top, right, bottom = square
     image[top:bottom, left:right] = (0, 0, 255)
     (found,) = boxes_of(OnnxYolo(model, options).detect(0, image))
-    # Resampling moves an edge by half a canvas pixel, the rounded size of the copy by up to another.
+    # Resampling moves an edge by half a canvas pixel, the rounded size by up to another.
     tolerance = max(size[0] / CANVAS[0], size[1] / CANVAS[1], 1.0) + 0.01
     assert found[:4] == pytest.approx(square, abs=tolerance)
     assert found[4:] == (1.0, 2)

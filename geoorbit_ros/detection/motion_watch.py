@@ -1,0 +1,66 @@
+"""Notices that a camera was bumped: the picture as a whole lies elsewhere than the known road."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.detection.detector import Image
+
+PERIOD_S = 0.4
+WIDTH_PX = 320
+"""Pictures are compared at about this width."""
+MIN_SHIFT = 0.6
+"""Of a pixel at that width: less is sway, which the road's contrast takes in."""
+TIMES = 3
+"""So many looks in a row must agree: sway comes back."""
+AGREEMENT = 0.5
+MIN_RESPONSE = 0.15
+"""Of the correlation's peak, 1 for identical pictures: below, there is nothing to go by."""
+
+
+class CameraWatch:
+    """Measures where the picture lies against the road, a few times a second."""
+
+    def __init__(self) -> None:
+        self._looked_ns: int | None = None
+        self._shifts: list[NDArray[np.float64]] = []
+        self._window: NDArray[np.float32] | None = None
+
+    def shift(self, stamp_ns: int, picture: Image, road: Image) -> NDArray[np.float64] | None:
+        """(2,) pixels right and down by which the camera's picture has moved for good, if it has.
+
+        Args:
+            stamp_ns: Capture time.
+            picture: (H, W, 3).
+            road: The same view without vehicles, as known.
+        """
+        last = self._looked_ns
+        if last is not None and 0 <= stamp_ns - last < PERIOD_S * 1e9:
+            return None
+        self._looked_ns = stamp_ns
+        step = max(picture.shape[1] // WIDTH_PX, 1)
+        now, then = _small(picture, step), _small(road, step)
+        if self._window is None or self._window.shape != now.shape:
+            size = (now.shape[1], now.shape[0])
+            self._window = np.asarray(cv2.createHanningWindow(size, cv2.CV_32F), np.float32)
+        offset, response = cv2.phaseCorrelate(then, now, self._window)
+        found = np.array(offset, dtype=np.float64)
+        if response < MIN_RESPONSE or np.hypot(*found) < MIN_SHIFT:
+            self._shifts.clear()
+            return None
+        self._shifts.append(found)
+        recent = np.array(self._shifts[-TIMES:])
+        if len(recent) < TIMES or np.ptp(recent, axis=0).max() > AGREEMENT:
+            return None
+        self._shifts.clear()
+        return np.asarray(recent.mean(axis=0) * step)
+
+
+def _small(image: Image, step: int) -> NDArray[np.float32]:
+    """The picture in grey, each pixel the mean of `step` x `step`."""
+    size = (image.shape[1] // step, image.shape[0] // step)
+    smaller = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    grey = cv2.cvtColor(smaller, cv2.COLOR_BGR2GRAY)
+    return np.asarray(grey, dtype=np.float32)
