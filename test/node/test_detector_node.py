@@ -23,8 +23,6 @@ from geoorbit_ros.detection.onnx_yolo import OnnxYolo
 from geoorbit_ros.nodes.composition import Composition
 from geoorbit_ros.nodes.detector import DetectorNode
 
-sys.path.append(str(Path(__file__).parents[1] / "unit" / "detection"))
-
 CANVAS = (160, 96)
 TOPIC = "image/compressed"
 
