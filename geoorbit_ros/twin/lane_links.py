@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.twin.network import NONE, RoadNetwork
 
-LANE_CHANGE = 1.5
-"""e^-3 per step of 0.1 s would be a change every two seconds: with the observations' persistence
-taken into account it makes a change certain within half a second of crossing the line."""
+LANE_CHANGE = 2.0
+"""With the observations' own weight (`matching.LATERAL_SIGMA_M`) a change is certain within half a
+second of crossing the line at 10 Hz, and noise of 0.15 m on the line makes none."""
 BACKWARDS = 1.0
 """A position may fall back over the end of a lane by its own noise."""
 UNRELATED = 9.0

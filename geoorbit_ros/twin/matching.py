@@ -18,7 +18,7 @@ from geoorbit_ros.twin.lane_index import CANDIDATES, Candidates, LaneIndex
 from geoorbit_ros.twin.lane_links import LaneLinks
 from geoorbit_ros.twin.network import NONE, RoadNetwork
 
-LATERAL_SIGMA_M = 0.6
+LATERAL_SIGMA_M = 0.7
 """Drivers keep within 0.3 m of their own line, which is 0.2 m off the middle; maps and cameras add
 theirs. Errors of one vehicle last for seconds, and so one observation must not count for much."""
 SIGMA_SHARE = 0.15
@@ -33,7 +33,7 @@ END_SLACK_M = 1.0
 IMPOSSIBLE = -1e6
 FORGET = 12.0
 """Cost of the worst hypothesis that is kept: a lane that was ruled out can come back."""
-MARGIN = 0.3
+MARGIN = 0.4
 """A lane becomes the vehicle's when it beats the present one by this: hysteresis."""
 
 
