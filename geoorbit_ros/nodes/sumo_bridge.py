@@ -87,7 +87,7 @@ class SumoBridgeNode(GeoOrbitNode[SumoBridgeParameters]):
             self, network.datum, p.frame_id, qos, p.health_period_s, clock=p.publish_clock
         )
         self.runner = TwinRunner(network, start, cameras, p.step_s, p.hold_s, self.twin.publish)
-        self._known: dict[str, Datum] = {}
+        self.known: dict[str, Datum] = {}
         for camera in cameras:
             datum_topic = self.resolve_topic_name(f"{camera}/datum")
             on_datum, on_frame = (
@@ -126,15 +126,15 @@ class SumoBridgeNode(GeoOrbitNode[SumoBridgeParameters]):
 
     def _on_datum(self, camera: str, place: str, fix: NavSatFix) -> None:
         try:
-            self._known[camera] = datum_from_fix(fix, place)
+            self.known[camera] = datum_from_fix(fix, place)
         except MessageError as error:
             self.diagnostics.refuse(error)
             return
-        self.runner.set_datum(camera, self._known[camera])
+        self.runner.set_datum(camera, self.known[camera])
 
     def _on_frame(self, camera: str, place: str, stamp_ns: int, rows: NDArray[np.void]) -> None:
         self.twin.arrived_s = time.perf_counter()
-        if camera not in self._known:
+        if camera not in self.known:
             raise MessageError(place, "tracks before it", "where the tracks' map frame lies")
         self.runner.add(camera, stamp_ns, rows)
 

@@ -1,0 +1,147 @@
+"""The bridge as a node: tracks in, the twin out, and it survives what dies beneath it."""
+
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseArray
+from made_twin import DATUM, START_NS, STEP_NS, made_network, rows
+from nav_msgs.msg import Path as PathMessage
+from probe import KEEP_ALL, LOSSLESS, Probe
+from sensor_msgs.msg import NavSatFix
+
+from geoorbit_ros.conversions import datum_to_fix
+from geoorbit_ros.core.errors import GeoOrbitError
+from geoorbit_ros.core.tables import TRACK_DTYPE
+from geoorbit_ros.nodes.composition import Composition
+from geoorbit_ros.nodes.latched import LATCHED
+from geoorbit_ros.nodes.sumo_bridge import SumoBridgeNode
+from geoorbit_ros.twin.simulation import SumoSimulation
+
+LANE_Y = -5.25
+
+
+@pytest.fixture(scope="module")
+def net(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return made_network(tmp_path_factory.mktemp("net"))
+
+
+def start(nodes: Composition, net: Path, **overrides: object) -> SumoBridgeNode:
+    given = LOSSLESS | {"network": str(net), "cameras": "north south"} | overrides
+    return nodes.make(SumoBridgeNode, "site", given)
+
+
+def speak(nodes: Composition, camera: str) -> Any:
+    """A probe that publishes a camera's datum, and its function to send tracks."""
+    probe = Probe(nodes, f"site/{camera}", f"probe_{camera}")
+    probe.publisher("datum", NavSatFix, LATCHED).publish(datum_to_fix(DATUM, "map"))
+    return probe, probe.table_publisher("tracks")
+
+
+def test_tracks_of_two_cameras_move_one_twin(nodes: Composition, net: Path) -> None:
+    node = start(nodes, net, health_period_s=0.5)
+    ear = Probe(nodes, "site", "ear")
+    tracks = ear.listen_tables("twin/tracks", TRACK_DTYPE)
+    poses = ear.listen("twin/vehicles", PoseArray, KEEP_ALL)
+    health = ear.listen("twin/health", DiagnosticArray, KEEP_ALL)
+    fixes = ear.listen("twin/datum", NavSatFix)
+    (probe, north), (_, south) = speak(nodes, "north"), speak(nodes, "south")
+    probe.until(lambda: len(node.known) == 2, "both datums")
+    probe.until(lambda: node.twin.tracks.get_subscription_count() == 1, "a listener")
+    probe.until(lambda: node.twin.vehicles.get_subscription_count() == 1, "a listener")
+    for k in range(12):
+        north(START_NS + k * STEP_NS, rows([(1, 50.0 + 2.0 * k, LANE_Y)]))
+        south(START_NS + k * STEP_NS, rows([(5, 50.0 + 2.0 * k, LANE_Y)], class_id=7))
+    probe.until(lambda: len(tracks) == len(poses) == 12 and len(health) >= 2, "the twin")
+    for k, (stamp_ns, frame_id, table) in enumerate(tracks):
+        assert (stamp_ns, frame_id, len(table)) == (START_NS + k * STEP_NS, "map", 1)
+        assert (table["x"][0], table["y"][0]) == pytest.approx((50.0 + 2.0 * k, LANE_Y), abs=1e-3)
+        assert table["track_id"][0] == 1
+        assert poses[k].poses[0].position.x == pytest.approx(50.0 + 2.0 * k, abs=1e-3)
+    values = {pair.key: pair.value for pair in health[-1].status[0].values}
+    assert float(values["position_error_m_p95"]) < 0.01
+    assert float(values["lane_error_share"]) == 0.0
+    assert float(values["latency_ms_p99"]) > 0.0
+    assert health[-1].status[0].message == "ok"
+    assert (fixes[0].latitude, fixes[0].longitude) == (DATUM.latitude_deg, DATUM.longitude_deg)
+
+
+def test_a_sumo_that_dies_is_replaced(nodes: Composition, net: Path) -> None:
+    node = start(nodes, net, cameras="north", backend="traci")
+    probe, send = speak(nodes, "north")
+    probe.until(lambda: len(node.known) == 1, "the datum")
+    for k in range(5):
+        send(START_NS + k * STEP_NS, rows([(1, 50.0 + 2.0 * k, LANE_Y)]))
+    probe.until(lambda: node.diagnostics.received == 5, "the frames")
+    simulation = node.runner.simulation
+    assert isinstance(simulation, SumoSimulation)
+    assert simulation.pid is not None
+    os.kill(simulation.pid, signal.SIGKILL)
+    for k in range(5, 10):
+        send(START_NS + k * STEP_NS, rows([(1, 50.0 + 2.0 * k, LANE_Y)]))
+    probe.until(lambda: node.diagnostics.received == 10, "the frames after it")
+    assert node.runner.restarts == 1
+    assert node.diagnostics.refused == 1
+    assert "signal 9" in str(node.diagnostics.last_refusal)
+    replaced = node.runner.simulation
+    assert isinstance(replaced, SumoSimulation)
+    assert np.allclose(replaced.states(["v1"]).xy[0], (50.0 + 18.0 + 2.3, LANE_Y), atol=1e-3)
+
+
+def test_references_are_latched_paths(nodes: Composition, net: Path, tmp_path: Path) -> None:
+    """A camera over (150, -20) that looks east along the road, as a plane seen from above."""
+    corners = DATUM.to_geodetic([(x, y) for x in (100, 150, 200) for y in (-40, 0, 40)])
+    pixels = [(960 - 12 * y, 1000 - 9 * (x - 100)) for x in (100, 150, 200) for y in (-40, 0, 40)]
+    lines = ["pixel_x,pixel_y,latitude,longitude"]
+    for (px, py), (lat, lon) in zip(pixels, corners, strict=True):
+        lines.append(f"{px},{py},{lat:.9f},{lon:.9f}")
+    file = tmp_path / "north.csv"
+    file.write_text("\n".join(lines) + "\n")
+    start(nodes, net, cameras="north", calibrations=str(file))
+    probe = Probe(nodes, "site/north")
+    found: dict[str, list[Any]] = {
+        f"{k}/{role}": probe.listen(f"reference/lane_{k}/{role}", PathMessage)
+        for k in range(1, 6)
+        for role in ("centerline", "left", "right")
+    }
+    probe.until(lambda: all(found.values()), "the paths of five lanes")
+    line = np.array(
+        [(p.pose.position.x, p.pose.position.y) for p in found["1/centerline"][0].poses]
+    )
+    left = np.array([(p.pose.position.x, p.pose.position.y) for p in found["1/left"][0].poses])
+    # In the camera's own frame, whose origin is the middle of its control points.
+    shift = DATUM.to_local(*corners.mean(axis=0))[0]
+    assert np.abs(line[:, 1] + shift[1] + 8.75).max() < 0.05
+    assert np.abs(left[:, 1] - line[:, 1] - 1.75).max() < 0.01
+    assert 80.0 < line[-1, 0] - line[0, 0] < 125.0
+
+
+def test_tracks_before_their_datum_are_refused(nodes: Composition, net: Path) -> None:
+    node = start(nodes, net, cameras="north")
+    probe = Probe(nodes, "site/north")
+    probe.table_publisher("tracks")(START_NS, rows([(1, 50.0, LANE_Y)]))
+    probe.until(lambda: node.diagnostics.refused == 1, "the refusal")
+    assert "/site/north/datum" in str(node.diagnostics.last_refusal)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "said"),
+    [
+        ({"network": "no.net.xml"}, "no.net.xml: found no such file"),
+        ({"cameras": "north north"}, "different names"),
+        ({"calibrations": "one.csv"}, "one file per camera"),
+        ({"gui": True}, "with a window"),
+        ({"datum_latitude_deg": 43.0}, "both latitude and longitude"),
+    ],
+)
+def test_a_bridge_that_can_not_work_says_why(
+    nodes: Composition, net: Path, overrides: dict[str, object], said: str
+) -> None:
+    with pytest.raises(GeoOrbitError) as error:
+        start(nodes, net, **overrides)
+    assert said in str(error.value)
+    assert "\n" not in str(error.value)
