@@ -5,13 +5,14 @@ from __future__ import annotations
 import multiprocessing
 import os
 import threading
+import zlib
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.federated.client import LocalResult, TrainingOrder
 from geoorbit_ros.federated.layout import Tensors
+from geoorbit_ros.federated.local_work import LocalResult, TrainingOrder
 from geoorbit_ros.learning.camera_task import CameraTask
 from geoorbit_ros.learning.meta_learner import MetaLearner
 from geoorbit_ros.learning.objective import Objective
@@ -68,5 +69,12 @@ def learn_from_camera(
     if best_theta is None:
         best_theta = search_theta(objective).theta
     examples = Examples(task.features[None], best_theta[None])
-    delta, count, _ = train_locally(tensors, examples, proximal=order.proximal_mu)
+    delta, count, _ = train_locally(
+        tensors, examples, proximal=order.proximal_mu, seed=_seed(task.camera_id, order)
+    )
     return Lesson(LocalResult(delta, count, objective.total(predicted)), best_theta)
+
+
+def _seed(camera_id: str, order: TrainingOrder) -> int:
+    """Another one for each camera and round, and the same one again after a restart."""
+    return zlib.crc32(f"{camera_id} {order.round}".encode())

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geoorbit_ros.federated.client_state import ClientState, read_client_state, write_client_state
 from geoorbit_ros.federated.client_update import ClientUpdate
@@ -21,63 +18,12 @@ from geoorbit_ros.federated.errors import PayloadError, Refusal
 from geoorbit_ros.federated.global_model import ASYNCHRONOUS, FINAL, MASKED, GlobalModel
 from geoorbit_ros.federated.keys import Signer, Verifier, client_id
 from geoorbit_ros.federated.layout import Tensors, Vector
-from geoorbit_ros.federated.masked_round import masked_vector
+from geoorbit_ros.federated.local_work import LocalResult, Train, TrainingOrder, Work
+from geoorbit_ros.federated.masked_client import MaskedClient
 from geoorbit_ros.federated.model_delta import SCHEMA as DELTA
 from geoorbit_ros.federated.model_delta import ModelDelta
-from geoorbit_ros.federated.secure_aggregation.message import SCHEMA as SECURE
-from geoorbit_ros.federated.secure_aggregation.message import SecureMessage
-from geoorbit_ros.federated.secure_aggregation.participant import Participant
 
-
-@dataclass(frozen=True, slots=True)
-class TrainingOrder:
-    """What local training is given beside the tensors.
-
-    Attributes:
-        round: The round, also to seed whatever is random: the same round gives the same update.
-        proximal_mu: FedProx's penalty weight, see `strategies.fedprox.proximal_gradient`; 0: none.
-    """
-
-    round: int
-    proximal_mu: float
-
-
-@dataclass(frozen=True, slots=True)
-class LocalResult:
-    """What local training gives back.
-
-    Attributes:
-        delta: New minus old value of every tensor.
-        sample_count: Examples behind it.
-        loss: Composite loss of the model as it came, before training.
-    """
-
-    delta: Mapping[str, NDArray[np.float32]]
-    sample_count: int
-    loss: float
-
-
-Train = Callable[[Tensors, TrainingOrder], LocalResult]
-"""Local training; it may take as long as it likes."""
-
-
-@dataclass(frozen=True, slots=True)
-class Work:
-    """What a client has to do about an announcement.
-
-    Attributes:
-        round: The round.
-        model: Digest of the model to start from.
-        tensors: That model.
-        order: For local training.
-        ready: The update, when it was already made: it only has to be sent again.
-    """
-
-    round: int
-    model: int
-    tensors: Tensors
-    order: TrainingOrder
-    ready: bytes = b""
+__all__ = ["FederatedClient", "LocalResult", "Train", "TrainingOrder", "Work"]
 
 
 class FederatedClient:
@@ -132,7 +78,7 @@ class FederatedClient:
         self._interface, self._path = interface, state_path
         self._state = read_client_state(state_path) if state_path else None
         self.finished = self._asynchronous = self._masks = False
-        self._participant: Participant | None = None
+        self._masked = MaskedClient(self.id, self._signer, self._verifier)
         self.refused: Counter[Refusal] = Counter()
 
     @property
@@ -176,7 +122,9 @@ class FederatedClient:
             return None
         self._masks, ready = bool(flags & MASKED), b""
         if state.answered == state.round and state.answered_model == state.digest:
-            ready = self._keys(state) if self._masks else state.update
+            ready = state.update
+            if self._masks:
+                ready = self._masked.begin(state.update, state.layout.size)
         order = TrainingOrder(state.round, state.proximal_mu)
         tensors = state.layout.unflatten(state.model)
         return Work(state.round, state.digest, tensors, order, ready)
@@ -241,14 +189,7 @@ class FederatedClient:
             PayloadError: It was refused.
         """
         try:
-            message = SecureMessage.decode(payload)
-            if self._participant is None:
-                return None  # not selected, or started again: then it counts as dropped out
-            if message.sender:
-                found = f"sender {message.sender}"
-                raise PayloadError(Refusal.UNKNOWN_SENDER, SECURE, found, "the server, 0")
-            self._verifier.check(payload, SECURE)
-            return self._signer.seal(self._participant.answer(message).unsigned())
+            return self._masked.assist(payload)
         except PayloadError as error:
             self.refused[error.reason] += 1
             raise
@@ -262,15 +203,7 @@ class FederatedClient:
         state.answered, state.answered_model = work.round, work.model
         if self._path:
             write_client_state(self._path, state)
-        return self._keys(state)
-
-    def _keys(self, state: ClientState) -> bytes:
-        """First step of a masked sum, with fresh secrets."""
-        update = ClientUpdate.decode(state.update)
-        delta = Float32().decode(update.data, state.layout.size)
-        values = masked_vector(delta, update.loss)
-        self._participant = Participant(self.id, update.round, update.model, values)
-        return self._signer.seal(self._participant.keys().unsigned())
+        return self._masked.begin(state.update, state.layout.size)
 
     def _take_whole(self, payload: bytes) -> tuple[tuple[int, ...], int]:
         model = GlobalModel.decode(payload)

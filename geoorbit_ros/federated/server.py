@@ -20,9 +20,8 @@ from geoorbit_ros.federated.ledger import Ledger
 from geoorbit_ros.federated.masked_round import STAGE_S, MaskedRound
 from geoorbit_ros.federated.open_round import OpenRound
 from geoorbit_ros.federated.privacy import clipped, normal_noise
-from geoorbit_ros.federated.secure_aggregation.coordinator import MIN_CLIENTS
 from geoorbit_ros.federated.selection import make_selection
-from geoorbit_ros.federated.server_config import ServerConfig
+from geoorbit_ros.federated.server_config import ServerConfig, check_settings
 from geoorbit_ros.federated.server_state import (
     RoundRecord,
     ServerState,
@@ -31,7 +30,6 @@ from geoorbit_ros.federated.server_state import (
 )
 from geoorbit_ros.federated.strategies.collection import Aggregate
 from geoorbit_ros.federated.strategies.fedavg import FedAvg
-from geoorbit_ros.federated.strategies.robust import RobustStrategy
 from geoorbit_ros.federated.strategies.strategy import Strategy
 
 
@@ -93,6 +91,7 @@ class FederatedServer:
             signer or Signer(None, config.federation),
             self._strategy.proximal_mu,
         )
+        check_settings(config, self._strategy, len(self._members))
         self._checkpoint = checkpoint
         first = self.layout.flatten(tensors)
         ledger = Ledger(self._members)
@@ -107,7 +106,6 @@ class FederatedServer:
         self._opened_s = self._deadline_s = 0.0
         self._round = OpenRound(self._strategy.collection(self.layout.size))
         self._masked: MaskedRound | None = None
-        self._check_settings()
 
     @property
     def tensors(self) -> Tensors:
@@ -212,15 +210,6 @@ class FederatedServer:
         if self.collected >= self._quorum():
             return self._close(self._round.result(), self.collected, now_s)
         return self._again(now_s)
-
-    def _check_settings(self) -> None:
-        hides = self.config.secure_aggregation or self.config.noise_multiplier
-        if hides and (isinstance(self._strategy, RobustStrategy) or self._asynchronous):
-            found = f"{type(self._strategy).__name__} with noise or masks"
-            raise FederationError("server settings", found, "a strategy that takes a mean")
-        if self.config.secure_aggregation and len(self._members) < MIN_CLIENTS:
-            found = f"{len(self._members)} cameras"
-            raise FederationError("secure aggregation", found, f"{MIN_CLIENTS} or more")
 
     def _open(self, now_s: float) -> tuple[int, ...]:
         """Begin to collect for the open round; its clients, none for all."""

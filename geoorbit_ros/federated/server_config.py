@@ -8,7 +8,10 @@ from geoorbit_ros.federated.encodings.encoding import Encoding
 from geoorbit_ros.federated.encodings.factory import make_encoding
 from geoorbit_ros.federated.encodings.floats import Float32
 from geoorbit_ros.federated.errors import FederationError
+from geoorbit_ros.federated.secure_aggregation.coordinator import MIN_CLIENTS
 from geoorbit_ros.federated.selection import SELECTIONS
+from geoorbit_ros.federated.strategies.robust import RobustStrategy
+from geoorbit_ros.federated.strategies.strategy import Strategy
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,3 +110,18 @@ class ServerConfig:
         if self.encoding == "float32":
             return Float32()
         return make_encoding(self.encoding, self.top_k_share, self.top_k_bits)
+
+
+def check_settings(config: ServerConfig, strategy: Strategy, clients: int) -> None:
+    """Refuse settings that exclude each other.
+
+    Raises:
+        FederationError: Naming both.
+    """
+    hides = config.secure_aggregation or config.noise_multiplier
+    if hides and (isinstance(strategy, RobustStrategy) or strategy.buffer_size):
+        found = f"{type(strategy).__name__} with noise or masks"
+        raise FederationError("server settings", found, "a strategy that takes a mean")
+    if config.secure_aggregation and clients < MIN_CLIENTS:
+        found = f"{clients} cameras"
+        raise FederationError("secure aggregation", found, f"{MIN_CLIENTS} or more")

@@ -54,7 +54,7 @@ def first_tensors(seed: int = 0) -> Tensors:
 def predict(tensors: Mapping[str, Array | NDArray[np.float32]], x: Array) -> tuple[Array, Array]:
     hidden = np.tanh(x @ tensors["hidden.weight"].T + tensors["hidden.bias"])
     out = hidden @ tensors["heads.weight"].T + tensors["heads.bias"]
-    return hidden, 1 / (1 + np.exp(-out))
+    return hidden, 0.5 * (1 + np.tanh(out / 2))
 
 
 @dataclass(frozen=True)

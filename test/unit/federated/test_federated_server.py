@@ -24,6 +24,7 @@ from geoorbit_ros.federated.keys import Member, Roster, read_private_key, write_
 from geoorbit_ros.federated.selection import make_selection
 from geoorbit_ros.federated.server import FederatedServer
 from geoorbit_ros.federated.server_config import ServerConfig
+from geoorbit_ros.federated.strategies.factory import STRATEGIES, StrategySettings, make_strategy
 from geoorbit_ros.federated.strategies.fedbuff import FedBuff
 
 NAMES = tuple(f"camera_{k}" for k in range(6))
@@ -61,6 +62,18 @@ def test_a_federation_learns_what_its_members_know_together() -> None:
         for name, tensor in server.published.items():
             assert client.tensors is not None
             np.testing.assert_array_equal(client.tensors[name], tensor)
+
+
+@pytest.mark.parametrize("name", sorted(STRATEGIES))
+def test_every_strategy_learns(name: str) -> None:
+    settings = StrategySettings(buffer_size=3, server_learning_rate=0.3, momentum=0.5)
+    federation = Federation(
+        NAMES, replace(CONFIG, rounds=15), lambda: make_strategy(name, settings)
+    )
+    before = federation.loss()
+    run_in_process(federation.server, federation.clients, federation.train_many)
+    assert federation.loss() < 0.5 * before
+    assert len(federation.server.history) == 15
 
 
 def test_one_round_is_the_weighted_mean_of_the_members() -> None:

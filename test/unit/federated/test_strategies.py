@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
@@ -135,6 +135,7 @@ def test_a_restored_strategy_goes_on_with_the_same_bits(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["fedmedian", "trimmed_mean", "multi_krum"])
+@settings(max_examples=30)
 @given(
     honest=arrays(np.float32, (7, 3), elements=st.floats(-1, 1, width=32)),
     lies=arrays(np.float32, (3, 3), elements=st.floats(-1000, 1000, width=32)),
@@ -151,7 +152,7 @@ def test_three_liars_of_ten_move_nothing_out_of_the_honest_range(
 
 
 def test_settings_out_of_range_name_the_setting() -> None:
-    for settings, word in (
+    for arguments, word in (
         (("trimmed_mean", StrategySettings(byzantine_share=0.5)), "byzantine_share"),
         (("fedavgm", StrategySettings(momentum=1.0)), "momentum"),
         (("fedprox", StrategySettings(proximal_mu=-1.0)), "proximal_mu"),
@@ -159,7 +160,7 @@ def test_settings_out_of_range_name_the_setting() -> None:
         (("fedsgd", StrategySettings()), "fedsgd"),
     ):
         with pytest.raises(FederationError, match=word):
-            make_strategy(*settings)
+            make_strategy(*arguments)
 
 
 @given(arrays(np.float64, st.tuples(st.integers(1, 12), st.just(3)), elements=st.floats(-1e9, 1e9)))
