@@ -15,6 +15,9 @@ from geoorbit_ros.scenes.render.painter import Body
 COARSE = 2
 """Pixels per shadow pixel: shadows have soft edges."""
 _SHIFT = 4
+_SOFT = 0.6
+"""Blur in shadow pixels. The sun's penumbra is centimetres wide: more would put a dark halo, large
+beside a far vehicle, where a camera shows none."""
 _FAR_PX = 20000.0
 """OpenCV's polygons take no larger coordinates."""
 _LOW_M = 0.6
@@ -71,8 +74,8 @@ class Shadows:
         if not len(rows):
             return
         top, bottom = max(rows[0] - 3, 0), min(rows[-1] + 4, height)
-        soft = cv2.GaussianBlur(cast[top:bottom], (5, 5), 1.1)
-        below = cv2.GaussianBlur(255 - beneath[top:bottom], (5, 5), 1.3)
+        soft = cv2.GaussianBlur(cast[top:bottom], (3, 3), _SOFT)
+        below = cv2.GaussianBlur(255 - beneath[top:bottom], (3, 3), _SOFT)
         left = cv2.LUT(cv2.merge([soft] * 3), self._left.reshape(1, 256, 3))
         left = cv2.multiply(left, cv2.merge([below] * 3), scale=1.0 / 255.0)
         part = picture[top * COARSE : bottom * COARSE]
