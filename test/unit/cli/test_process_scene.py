@@ -19,7 +19,7 @@ from geoorbit_ros.scenes.scene import load_scene
 from geoorbit_ros.storage.mot_text import read_mot_detections, read_mot_tracks
 from geoorbit_ros.storage.track_csv import read_track_csv
 
-SCENE, SEED, DURATION_S, FPS, SIZE = "s_curve", 1, 40.0, 8.0, (960, 540)
+SCENE, SEED, DURATION_S, FPS, SIZE = "s_curve", 1, 30.0, 8.0, (960, 540)
 
 
 @dataclass(frozen=True)
@@ -59,8 +59,8 @@ def test_the_tracks_written_give_the_lanes_again(processed: Processed, tmp_path:
         read_lane_file(path, processed.datum).lane_map.lanes
         for path in (processed.out / "lanes.geojson", again)
     )
-    assert [lane.lane_id for lane in first] == [lane.lane_id for lane in second]
     score = score_lanes(second, first)
+    assert (score.missed(), score.invented) == ((), ())
     error_m = np.concatenate([row.error_m for row in score.matched])
     assert error_m.mean() <= 0.05, "only images without a vehicle are missing"
 
