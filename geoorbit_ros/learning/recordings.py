@@ -55,20 +55,22 @@ def recording_task(recording: Recording, root: Path) -> CameraTask:
 def count_vehicles(lanes: Sequence[Lane], tracks: Frames) -> tuple[Lane, ...]:
     """The lanes with the number of tracks that are nearest to each and drive its way."""
     counts = np.zeros(len(lanes))
-    rows = tracks.rows[np.isfinite(tracks.rows["x"]) & np.isfinite(tracks.rows["heading"])]
+    rows = tracks.rows[np.isfinite(tracks.rows["x"]) & np.isfinite(tracks.rows["y"])]
     point = np.column_stack([rows["x"], rows["y"]]).astype(np.float64)
-    heading = np.column_stack([np.cos(rows["heading"]), np.sin(rows["heading"])])
-    _, owner = np.unique(rows["track_id"], return_inverse=True)
-    vehicles = int(owner.max(initial=-1)) + 1
-    distance = np.full((vehicles, len(lanes)), np.inf)
+    ids, first, owner = np.unique(rows["track_id"], return_index=True, return_inverse=True)
+    last = np.zeros(len(ids), np.int64)
+    last[owner] = np.arange(len(rows))
+    travel = (point[last] - point[first])[owner]
+    distance = np.full((len(ids), len(lanes)), np.inf)
     for k, lane in enumerate(lanes):
         on = project(point, lane.centerline_m)
-        good = on.inside & (np.sum(on.tangent * heading, axis=1) > 0.5)
-        number = np.bincount(owner[good], minlength=vehicles)
-        total = np.bincount(owner[good], np.abs(on.offset_m[good]), minlength=vehicles)
+        along = np.sum(on.tangent * travel, axis=1) > 0.5 * np.hypot(travel[:, 0], travel[:, 1])
+        good = on.inside & along
+        number = np.bincount(owner[good], minlength=len(ids))
+        total = np.bincount(owner[good], np.abs(on.offset_m[good]), minlength=len(ids))
         enough = number > 0
         distance[enough, k] = total[enough] / number[enough]
     for row in distance:
-        if len(row) and row.min() <= REACH_M:
+        if row.min() <= REACH_M:
             counts[int(np.argmin(row))] += 1
     return tuple(replace(lane, vehicles=float(n)) for lane, n in zip(lanes, counts, strict=True))
