@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 from importlib.util import find_spec
@@ -108,6 +109,12 @@ def write_network(placed: dict[str, PlacedRoad], folder: Path, datum: Datum | No
         origin = f'projParameter="{datum.proj_string}"'
         net.write_text(text.replace('projParameter="!"', origin, 1), encoding="utf-8")
     return net
+
+
+def drop_header(path: Path) -> None:
+    """Take away netconvert's comment: it has the time and the paths of this run."""
+    text = path.read_text(encoding="utf-8")
+    path.write_text(re.sub(r"<!--.*?-->\s*", "", text, count=1, flags=re.DOTALL), encoding="utf-8")
 
 
 def last_line(text: str) -> str:

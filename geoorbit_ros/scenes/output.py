@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +15,8 @@ from geoorbit_ros.core.errors import InputFileError, NoTrafficError
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.core.tables import FLAG_GROUND_POINT, PIXEL_TRACK_DTYPE, Frames, frames_from_rows
 from geoorbit_ros.lanes.geojson import write_lanes
+from geoorbit_ros.scenes.network import drop_header, write_network
+from geoorbit_ros.scenes.roads import place_roads
 from geoorbit_ros.scenes.simulate import SceneRun
 from geoorbit_ros.storage.atomic import atomic_output
 from geoorbit_ros.storage.bag import write_track_bag
@@ -21,6 +25,7 @@ from geoorbit_ros.storage.track_csv import write_track_csv
 BAG, TRACKS, CALIBRATION = "bag", "tracks.csv", "calibration.csv"
 CLEAN_TRACKS, CLEAN_CALIBRATION = "clean_tracks.csv", "clean_calibration.csv"
 TRUTH = "truth.geojson"
+NETWORK = "network.net.xml"
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +40,7 @@ class SceneFiles:
         clean_calibration: The same positions with their exact pixels. It belongs to the clean
             tracks: together they show what a lane estimator does without camera and detector.
         truth: The true lanes.
+        network: The roads as a SUMO network, at their place on earth.
     """
 
     bag: Path
@@ -43,6 +49,7 @@ class SceneFiles:
     clean_tracks: Path
     clean_calibration: Path
     truth: Path
+    network: Path
 
 
 def write_scene_run(run: SceneRun, out_dir: str | Path, camera_id: str | None = None) -> SceneFiles:
@@ -81,8 +88,12 @@ def write_scene_run(run: SceneRun, out_dir: str | Path, camera_id: str | None = 
             (folder / file).write_text(text, encoding="utf-8")
         lane_map = LaneMap(int(run.frames.stamp_ns[-1]), run.truth)
         write_lanes(folder / TRUTH, lane_map, run.datum, camera_id=name, estimator="truth")
+        with tempfile.TemporaryDirectory(prefix="geoorbit_scene_") as scratch:
+            net = write_network(place_roads(run.scene), Path(scratch), run.datum)
+            drop_header(net)
+            shutil.copyfile(net, folder / NETWORK)
     there = Path(out_dir)
-    names = (BAG, TRACKS, CALIBRATION, CLEAN_TRACKS, CLEAN_CALIBRATION, TRUTH)
+    names = (BAG, TRACKS, CALIBRATION, CLEAN_TRACKS, CLEAN_CALIBRATION, TRUTH, NETWORK)
     return SceneFiles(*(there / file for file in names))
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from geoorbit_ros.calibration.datum import Datum
-from geoorbit_ros.scenes.network import last_line, netconvert_path
+from geoorbit_ros.scenes.network import drop_header, last_line, netconvert_path
 from geoorbit_ros.twin.errors import RoadNetworkError
 from geoorbit_ros.twin.network import RoadNetwork, load_network
 from geoorbit_ros.twin.network_file import parse_xml
@@ -110,6 +110,8 @@ def _finish(
         str(source),
     )
     roads = _check_opendrive(opendrive, datum)
+    for file in (folder / NETWORK, opendrive):
+        drop_header(file)
     record = {
         "source": source.name,
         "datum": {"latitude_deg": datum.latitude_deg, "longitude_deg": datum.longitude_deg},

@@ -26,6 +26,7 @@ NAMES = [
     "calibration.csv",
     "clean_calibration.csv",
     "clean_tracks.csv",
+    "network.net.xml",
     "tracks.csv",
     "truth.geojson",
 ]
@@ -99,7 +100,7 @@ def test_a_failed_write_leaves_nothing(run: SceneRun, tmp_path: Path) -> None:
     with pytest.raises(ParameterError):
         write_scene_run(run, tmp_path / "deep" / "out", "no name")
     broken = replace(run, truth=(None, *run.truth))  # type: ignore[arg-type]
-    with pytest.raises(AttributeError):  # the truth is written last
+    with pytest.raises(AttributeError):  # the truth is written after all tracks
         write_scene_run(broken, tmp_path / "deep" / "out")
     assert list(tmp_path.iterdir()) == []
 
