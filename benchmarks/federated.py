@@ -156,7 +156,7 @@ def main() -> None:
         update_bytes = 4 * fleet.updates.shape[1]
         note = f"{memory[few] / 1e3:.0f} and {memory[many] / 1e3:.0f} kB at the peak of a round"
         title = "memory of a round per further client / size of its update"
-        report(title, per_client / update_bytes, 0.25, note)
+        report(title, per_client / update_bytes, 0.05, note)
 
 
 if __name__ == "__main__":

@@ -12,13 +12,13 @@ from pathlib import Path
 from rclpy.clock import Clock, ClockType
 from std_msgs.msg import String
 
-from geoorbit_ros.federated.camera_session import INTERFACE, starting_learner
 from geoorbit_ros.federated.envelope import schema_of
 from geoorbit_ros.federated.keys import Roster, Signer, read_private_key
 from geoorbit_ros.federated.secure_aggregation.message import SCHEMA as SECURE
 from geoorbit_ros.federated.server import FederatedServer
 from geoorbit_ros.federated.server_config import ServerConfig
 from geoorbit_ros.federated.strategies.factory import StrategySettings, make_strategy
+from geoorbit_ros.learning.camera_session import INTERFACE, starting_learner
 from geoorbit_ros.nodes.base import GeoOrbitNode
 from geoorbit_ros.nodes.byte_topic import (
     PayloadPublisher,

@@ -15,11 +15,11 @@ from rclpy.clock import Clock, ClockType
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.tables import TRACK_DTYPE
-from geoorbit_ros.federated.camera_learning import end_with_parent
-from geoorbit_ros.federated.camera_session import INTERFACE, CameraSession
 from geoorbit_ros.federated.client import FederatedClient
 from geoorbit_ros.federated.encodings.factory import make_encoding
 from geoorbit_ros.federated.keys import Signer, public_key, read_private_key
+from geoorbit_ros.learning.camera_learning import end_with_parent
+from geoorbit_ros.learning.camera_session import INTERFACE, CameraSession
 from geoorbit_ros.learning.model_file import load_model
 from geoorbit_ros.nodes.base import GeoOrbitNode
 from geoorbit_ros.nodes.byte_topic import (

@@ -12,7 +12,6 @@ from typing import Any
 import pytest
 from camera_host import lesson
 
-from geoorbit_ros.federated.camera_session import INTERFACE
 from geoorbit_ros.federated.client import FederatedClient
 from geoorbit_ros.federated.encodings.factory import make_encoding
 from geoorbit_ros.federated.in_process import run_in_process
@@ -21,6 +20,7 @@ from geoorbit_ros.federated.ledger import Ledger
 from geoorbit_ros.federated.server import FederatedServer
 from geoorbit_ros.federated.server_config import ServerConfig
 from geoorbit_ros.federated.server_state import ServerState, read_checkpoint
+from geoorbit_ros.learning.camera_session import INTERFACE
 from geoorbit_ros.learning.meta_learner import MetaLearner
 from geoorbit_ros.nodes.isolation import free_domain_id
 
@@ -162,7 +162,7 @@ _PARENT = """
 import multiprocessing, sys, time
 from concurrent.futures import ProcessPoolExecutor
 from os import getpid
-from geoorbit_ros.federated.camera_learning import end_with_parent
+from geoorbit_ros.learning.camera_learning import end_with_parent
 if __name__ == "__main__":
     context = multiprocessing.get_context("spawn")
     workers = ProcessPoolExecutor(1, context, end_with_parent)

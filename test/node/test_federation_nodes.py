@@ -23,8 +23,6 @@ from geoorbit_ros.conversions import (
 )
 from geoorbit_ros.core.errors import MessageError
 from geoorbit_ros.core.tables import TRACK_DTYPE
-from geoorbit_ros.federated import camera_session
-from geoorbit_ros.federated.camera_learning import Lesson
 from geoorbit_ros.federated.client import LocalResult
 from geoorbit_ros.federated.errors import Refusal
 from geoorbit_ros.federated.keys import Signer
@@ -32,6 +30,8 @@ from geoorbit_ros.federated.theta import ThetaPayload
 from geoorbit_ros.lanes.factory import make_estimator
 from geoorbit_ros.lanes.mapper import LaneMapper
 from geoorbit_ros.lanes.parameters import LaneParameters
+from geoorbit_ros.learning import camera_session
+from geoorbit_ros.learning.camera_learning import Lesson
 from geoorbit_ros.learning.meta_learner import MetaLearner
 from geoorbit_ros.nodes.composition import Composition
 from geoorbit_ros.nodes.federated_server import FederatedServerNode

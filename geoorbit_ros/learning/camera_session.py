@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.tables import Frames
-from geoorbit_ros.federated.camera_learning import Lesson, learn_from_camera
 from geoorbit_ros.federated.client import FederatedClient, Work
 from geoorbit_ros.federated.global_model import interface_digest
 from geoorbit_ros.federated.keys import Signer
 from geoorbit_ros.federated.theta import ThetaPayload
+from geoorbit_ros.learning.camera_learning import Lesson, learn_from_camera
 from geoorbit_ros.learning.camera_task import CameraTask
 from geoorbit_ros.learning.features import FEATURE_NAMES, scene_features
 from geoorbit_ros.learning.meta_learner import MetaLearner
