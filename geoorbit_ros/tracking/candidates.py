@@ -12,9 +12,14 @@ from geoorbit_ros.tracking.motion import MEAN, VARIANCE
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-GATE = 30.0
+GATE = 60.0
 """Squared distance in 1-sigma errors over the four measurements beyond which no pair is considered
-(chi-square with four degrees of freedom: one in 200,000, as box errors have heavy tails)."""
+(chi-square with four degrees of freedom: far out, because errors of boxes have heavy tails)."""
+SPREAD_WEIGHT = 1.6
+"""Weight of a prediction's spread; 1 would be its likelihood. More favours tracks that know better
+where their vehicle is, beyond what the assumed errors justify."""
+TENTATIVE_COST = 6.0
+"""Cost of an unconfirmed track: a false box beside a vehicle must not take its detection."""
 CLASS_COST = 2.0
 """Cost of another class: detectors call a van a truck now and then, but a person seldom a car."""
 
@@ -40,6 +45,7 @@ class Pairs:
 
 def candidate_pairs(
     predicted: Array,
+    confirmed: NDArray[np.bool_],
     track_class: NDArray[np.int64],
     measured: Array,
     variance: Array,
@@ -53,6 +59,7 @@ def candidate_pairs(
 
     Args:
         predicted: (5, 4, N) states at the time of the detections, see `motion`.
+        confirmed: (N,) whether the track is.
         track_class: (N,) its class.
         measured: (4, M) measurements.
         variance: (4, M) their variances.
@@ -69,6 +76,8 @@ def candidate_pairs(
     distance = (error * error / total).sum(axis=0)
     inside = np.flatnonzero(distance < GATE)
     track, detection, total = track[inside], detection[inside], total[:, inside]
-    cost = distance[inside] + np.log((total / variance[:, detection]).prod(axis=0))
+    spread_share = (total / variance[:, detection]).prod(axis=0)
+    cost = distance[inside] + SPREAD_WEIGHT * np.log(spread_share)
+    cost += TENTATIVE_COST * ~confirmed[track]
     cost += CLASS_COST * (track_class[track] != detection_class[detection])
     return Pairs(track, detection, cost)

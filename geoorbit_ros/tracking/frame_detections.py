@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 BORDER_RATIO = 0.01
 """Boxes that end within 1 % of the image from its border are cut by it, as in `box_projector`."""
-CUT_FACTOR = 4.0
+CUT_FACTOR = 10.0
 """Variance of a cut box relative to a whole one: its centre and size aren't the vehicle's."""
 MAX_DETECTIONS = 1000
 """More in a frame are no traffic; the most confident are taken."""

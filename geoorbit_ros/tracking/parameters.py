@@ -46,7 +46,7 @@ class TrackerParameters:
     birth_score: float = 0.42
     confirm_hits: int = 2
     max_gap_s: float = 1.5
-    predict_s: float = 0.5
+    predict_s: float = 0.4
     image_width: int = 0
     image_height: int = 0
     first_id: int = 1

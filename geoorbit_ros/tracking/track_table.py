@@ -23,6 +23,7 @@ class TrackTable:
     Attributes:
         state: (5, 4, N) motion at the last observation, see `motion`.
         box: (4, N) last observed box: x, y, width, height in pixels.
+        born_ns: (N,) time of the first observation.
         stamp_ns: (N,) time of the last observation.
         track_id: (N,) 0 until the track is confirmed.
         hits: (N,) observations.
@@ -35,6 +36,7 @@ class TrackTable:
 
     state: Array = field(default_factory=lambda: np.empty((5, 4, 0)))
     box: Array = field(default_factory=lambda: np.empty((4, 0)))
+    born_ns: NDArray[np.int64] = field(default_factory=_integers)
     stamp_ns: NDArray[np.int64] = field(default_factory=_integers)
     track_id: NDArray[np.int64] = field(default_factory=_integers)
     hits: NDArray[np.int64] = field(default_factory=_integers)
@@ -51,6 +53,10 @@ class TrackTable:
         """(N,) time since the last observation of each."""
         return np.asarray((stamp_ns - self.stamp_ns) * 1e-9, dtype=np.float64)
 
+    def observed_s(self) -> Array:
+        """(N,) time from the first to the last observation of each."""
+        return np.asarray((self.stamp_ns - self.born_ns) * 1e-9, dtype=np.float64)
+
     @classmethod
     def started(
         cls, stamp_ns: int, state: Array, found: FrameDetections, which: NDArray[np.intp]
@@ -61,6 +67,7 @@ class TrackTable:
         return cls(
             state=state,
             box=found.box[:, which],
+            born_ns=zeros + stamp_ns,
             stamp_ns=zeros + stamp_ns,
             track_id=zeros,
             hits=zeros + 1,

@@ -28,12 +28,16 @@ from geoorbit_ros.tracking.track_table import TrackTable
 
 Array = NDArray[np.float64]
 
-PAIR_LIMIT = 32.0
+PAIR_LIMIT = 45.0
 """Cost at which a detection rather is another vehicle."""
 WEAK_GAP_S = 0.8
 """Weak detections continue tracks that were observed this recently."""
-TENTATIVE_GAP_S = 0.3
-"""An unconfirmed track ends when it is unobserved in a frame and for this long."""
+SHORT_GAP_S = 0.3
+"""The least time, if more than a frame, that any track may be unobserved."""
+PATIENCE = 2.3
+"""A track may be unobserved this many times as long as it was observed: short ones are doubtful."""
+FORESIGHT = 0.3
+"""A track is predicted for this many times as long as it was observed."""
 MAX_TRACKS = 2000
 """More at once are no traffic; those unobserved longest are dropped."""
 MAX_ID = 2**31 - 1
@@ -161,6 +165,7 @@ class Tracker:
             return partner
         pairs = candidate_pairs(
             predicted,
+            tracks.track_id > 0,
             tracks.class_id,
             found.measured,
             found.variance,
@@ -187,8 +192,9 @@ class Tracker:
     def _expired(self, elapsed_s: Array) -> NDArray[np.bool_]:
         """(N,) tracks that were unobserved for too long before this frame."""
         tracks = self._tracks
-        expired = elapsed_s > self._p.max_gap_s
-        expired |= (tracks.track_id == 0) & (tracks.missed > 0) & (elapsed_s > TENTATIVE_GAP_S)
+        patience_s = SHORT_GAP_S + PATIENCE * tracks.observed_s()
+        expired = elapsed_s > np.minimum(patience_s, self._p.max_gap_s)
+        expired &= (tracks.missed > 0) | (elapsed_s > self._p.max_gap_s)
         if len(tracks) > MAX_TRACKS:
             longest = np.argsort(-elapsed_s, kind="stable")
             expired[longest[: len(tracks) - MAX_TRACKS]] = True
@@ -212,13 +218,14 @@ class Tracker:
         free[partner[partner >= 0]] = False
         new = np.flatnonzero(free)
         if len(new):
-            state = start(found.box[:, new], self._noise)
+            state = start(found.box[:, new], found.variance[:, new], self._noise)
             self._tracks.append(TrackTable.started(stamp_ns, state, found, new))
 
     def _output(self, stamp_ns: int, predicted: Array) -> NDArray[np.void]:
         """Rows to publish; `predicted` (5, 4, K) holds the states of the first K tracks."""
         tracks = self._tracks
-        recent = tracks.elapsed_s(stamp_ns) <= self._p.predict_s
+        trusted_s = np.minimum(FORESIGHT * tracks.observed_s(), self._p.predict_s)
+        recent = tracks.elapsed_s(stamp_ns) <= trusted_s
         shown = np.flatnonzero((tracks.track_id > 0) & ((tracks.missed == 0) | recent))
         shown = shown[np.argsort(tracks.track_id[shown])]
         box, flags = tracks.box[:, shown], np.where(tracks.cut[shown], FLAG_TRUNCATED, 0)

@@ -25,11 +25,16 @@ from geoorbit_ros.tracking.motion import (
 NOISE = MotionNoise()
 
 
+def begun(box: np.ndarray) -> np.ndarray:
+    """States of tracks seen for the first time."""
+    return start(box, measurement_variance(box, NOISE), NOISE)
+
+
 def exact_state(vehicle: Vehicle, time_s: float) -> np.ndarray:
     """The true state: measurements and their derivatives, by differences."""
     step = 1e-4
     at = [measurements(np.array(vehicle.box(time_s + d)).reshape(4, 1)) for d in (-step, 0.0, step)]
-    state = start(np.array(vehicle.box(time_s)).reshape(4, 1), NOISE)
+    state = begun(np.array(vehicle.box(time_s)).reshape(4, 1))
     state[RATE] = (at[2] - at[0]) / (2 * step)
     return state
 
@@ -57,7 +62,7 @@ def test_two_steps_are_one_long_step(one_s: float, two_s: float, speed_mps: floa
 
 def test_the_filter_is_the_textbook_one() -> None:
     random = np.random.default_rng(5)
-    state = start(random.uniform(20.0, 200.0, (4, 6)), NOISE)
+    state = begun(random.uniform(20.0, 200.0, (4, 6)))
     state[RATE] = random.normal(0.0, 5.0, (4, 6))
     state[RATE, 2:] = 0.0  # without growth the model is the plain constant-velocity one
     gap_s = random.uniform(0.02, 0.5, 6)
@@ -85,7 +90,7 @@ def test_the_second_sight_of_a_vehicle_gives_its_speed_also_after_a_gap() -> Non
     vehicle = Vehicle(0.0, 80.0, 20.0)
     for gap_s in (0.04, 1.0):
         first, second = (np.array(vehicle.box(t)).reshape(4, 1) for t in (0.0, gap_s))
-        state = predict(start(first, NOISE), np.array([gap_s]), NOISE)
+        state = predict(begun(first), np.array([gap_s]), NOISE)
         state = correct(state, measurements(second), measurement_variance(second, NOISE))
         mean_rate = (second - first)[1, 0] / gap_s
         assert state[RATE, 1, 0] == pytest.approx(mean_rate, rel=0.25)

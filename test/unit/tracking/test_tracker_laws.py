@@ -197,20 +197,46 @@ def test_oncoming_vehicles_that_pass_each_other_in_the_image_keep_their_ids() ->
 
 
 def test_unseen_vehicles_are_predicted_where_they_are_and_flagged() -> None:
-    vehicle = Vehicle(3.0, 90.0, -18.0)
+    vehicle = Vehicle(3.0, 120.0, -18.0)
     frames = [
-        (s, detections([vehicle] if seconds(s) < 1.0 else [], seconds(s))) for s in stamps(60)
+        (s, detections([vehicle] if seconds(s) < 2.4 else [], seconds(s))) for s in stamps(90)
     ]
     output = track_all(frames, predict_s=0.6)
     shown = [(s, rows[0]) for (s, _), rows in zip(frames, output, strict=True) if len(rows)]
-    assert seconds(shown[-1][0]) == pytest.approx(0.96 + 0.6, abs=0.041)
+    assert seconds(shown[-1][0]) == pytest.approx(2.36 + 0.6, abs=0.041)
     for stamp_ns, row in shown:
         predicted = bool(row["flags"] & FLAG_PREDICTED)
-        assert predicted == (seconds(stamp_ns) >= 1.0)
+        assert predicted == (seconds(stamp_ns) >= 2.4)
         truth = vehicle.box(seconds(stamp_ns))
         assert abs(row["x"] - truth[0]) < 0.2 * truth[2]
         assert abs(row["y"] - truth[1]) < 0.2 * truth[3]
         assert row["height"] == pytest.approx(truth[3], rel=0.1)
+
+
+def test_what_was_seen_for_a_moment_is_neither_predicted_nor_waited_for_long() -> None:
+    vehicle = Vehicle(3.0, 120.0, -18.0)
+    frames = [
+        (s, detections([vehicle] if k < 3 or k > 30 else [], seconds(s)))
+        for k, s in enumerate(stamps(36))
+    ]
+    output = track_all(frames)
+    assert [len(rows) for rows in output[4:31]] == [0] * 27
+    assert output[-1]["track_id"][0] != output[2]["track_id"][0]
+
+
+def test_a_box_that_enters_the_image_piece_by_piece_keeps_its_id() -> None:
+    # Its width doubles from frame to frame, which is no growth of the vehicle.
+    entering = Vehicle(-14.0, 20.0, 9.0)
+    frames = []
+    for s in stamps(40, 12.0):
+        rows = detections([entering], seconds(s))
+        left = np.clip(rows["x"] - rows["width"] / 2, 0.0, SIZE[0])
+        right = np.clip(rows["x"] + rows["width"] / 2, 0.0, SIZE[0])
+        rows["x"], rows["width"] = (left + right) / 2, right - left
+        frames.append((s, rows[rows["width"] > 0.2 * rows["height"]]))
+    output = track_all(frames, image_width=SIZE[0], image_height=SIZE[1])
+    assert sum(len(rows) for _, rows in frames) > 25
+    assert {i for frame in ids(output) for i in frame} == {1}
 
 
 @pytest.mark.parametrize(("speed_mps", "same"), [(2.0, True), (25.0, False)])
