@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
-
-import numpy as np
 
 from geoorbit_ros.core.lanes import Lane
 
@@ -42,17 +41,15 @@ def judge(lane: Lane, evidence: LaneEvidence, was_confirmed: bool) -> Lane:
         was_confirmed: Whether an earlier map had it confirmed.
     """
     beside_traffic = _beside_traffic(evidence)
-    confidence = (1.0 - float(np.exp(-evidence.vehicles / VEHICLE_SCALE))) * beside_traffic
+    confidence = (1.0 - math.exp(-evidence.vehicles / VEHICLE_SCALE)) * beside_traffic
     confirmed = evidence.vehicles >= MIN_VEHICLES and confidence >= CONFIRM
     confirmed |= was_confirmed and confidence >= KEEP_CONFIRMED
     missing = 0
     if not confirmed:
         target = evidence.vehicles + MIN_VEHICLES
         if beside_traffic > CONFIRM:
-            target = max(
-                MIN_VEHICLES, -VEHICLE_SCALE * float(np.log(1.0 - CONFIRM / beside_traffic))
-            )
-        missing = max(1, int(np.ceil(target - evidence.vehicles)))
+            target = max(MIN_VEHICLES, -VEHICLE_SCALE * math.log(1.0 - CONFIRM / beside_traffic))
+        missing = max(1, math.ceil(target - evidence.vehicles))
     return replace(
         lane,
         confidence=confidence,
@@ -64,8 +61,8 @@ def judge(lane: Lane, evidence: LaneEvidence, was_confirmed: bool) -> Lane:
 def _beside_traffic(evidence: LaneEvidence) -> float:
     """The confidence that any number of vehicles would give."""
     # Half the band's traffic driving across is common at a merge; nearly all of it is no lane.
-    along = 1.0 / (1.0 + np.exp(-(evidence.lane_share - 0.3) / 0.06))
-    long = 1.0 - np.exp(-evidence.length / 0.5)
+    along = 1.0 / (1.0 + math.exp(-(evidence.lane_share - 0.3) / 0.06))
+    long = 1.0 - math.exp(-evidence.length / 0.5)
     # Where vehicles fade from sight, tails of broken tracks form bundles that are no lanes.
-    sight = 1.0 / (1.0 + np.exp(-(evidence.presence - 0.25) / 0.04))
-    return float(along * long * sight)
+    sight = 1.0 / (1.0 + math.exp(-(evidence.presence - 0.25) / 0.04))
+    return along * long * sight

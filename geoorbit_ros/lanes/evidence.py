@@ -25,6 +25,8 @@ from geoorbit_ros.lanes.track_rows import TrackRows, no_rows, order_by_track, us
 
 MAX_PASSES = 1500
 """Newest passes kept: ten minutes of a busy motorway, most of a day on a quiet road."""
+MAX_SURPLUS = 1.2
+"""They are trimmed when there are so many times as many, not at each new one."""
 HALF_LIFE_S = 6 * 3600.0
 """Time after which a pass counts half: a work zone shows by the next rush hour."""
 FRAME_PERIOD_S = 1.0 / 15.0
@@ -51,7 +53,7 @@ class Evidence:
         self._chunks: list[bytes] = []
         self._frame = (-1.0, -1.0)
         self._open = no_rows()
-        self._finished = empty_passes()
+        self._finished = [empty_passes()]
         self._finished_ever = 0
 
     @property
@@ -67,7 +69,8 @@ class Evidence:
     def passes(self) -> tuple[Passes, NDArray[np.float64]]:
         """All passes, finished ones first, and the worth (P,) of each by its age."""
         now_s = self.settle()
-        every = concatenate([self._finished, condense(self._open)])
+        self._finished = [self._trim(concatenate(self._finished), now_s)]
+        every = concatenate([*self._finished, condense(self._open)])
         return every, self._worth(every, now_s)
 
     @property
@@ -77,7 +80,12 @@ class Evidence:
 
     def finished_after(self, count: int, stamp_ns: int) -> Passes:
         """Passes finished after the first `count` that also began after `stamp_ns`."""
-        new = newest(self._finished, self._finished_ever - count)
+        wanted, parts = self._finished_ever - count, list[Passes]()
+        for part in reversed(self._finished):
+            if sum(map(len, parts)) >= wanted:
+                break
+            parts.insert(0, part)
+        new = newest(concatenate(parts), wanted)
         begin_s = new.time_s[new.offset[:-1]]
         return select(new, begin_s > (stamp_ns - (self._epoch_ns or 0)) * 1e-9)
 
@@ -85,7 +93,7 @@ class Evidence:
         """What is remembered, but for vehicles still in view."""
         self.settle()
         times = np.array([self._epoch_ns or 0, self._now_ns, self._finished_ever], np.int64)
-        return pack_passes(self._finished) | {"evidence": times}
+        return pack_passes(concatenate(self._finished)) | {"evidence": times}
 
     def restore(self, state: Mapping[str, NDArray[Any]], stamp_ns: int) -> None:
         """Go on from `state` with a frame at `stamp_ns`; where that is earlier, time is moved.
@@ -93,7 +101,7 @@ class Evidence:
         Raises:
             KeyError, ValueError: Not such a state.
         """
-        self._finished = unpack_passes(state)
+        self._finished = [unpack_passes(state)]
         epoch_ns, now_ns, self._finished_ever = (int(value) for value in state["evidence"])
         self._now_ns = min(now_ns, stamp_ns - 1)
         self._epoch_ns = epoch_ns + self._now_ns - now_ns
@@ -117,7 +125,9 @@ class Evidence:
         done = time_s < np.repeat(until_s, counts)
         part = condense(rows.take(order[done]))
         self._finished_ever += len(part)
-        self._finished = self._trim(concatenate([self._finished, part]), now_s)
+        self._finished.append(part)
+        if sum(map(len, self._finished)) > MAX_SURPLUS * self._max_passes:
+            self._finished = [self._trim(concatenate(self._finished), now_s)]
         self._open = rows.take(order[~done])
         return now_s
 
@@ -149,7 +159,6 @@ class Evidence:
     def _trim(self, passes: Passes, now_s: float) -> Passes:
         worth = self._worth(passes, now_s)
         keep = worth > 0.02
-        # Trimmed in steps, so that what others computed from the finished passes lasts a while.
-        if keep.sum() > 1.2 * self._max_passes:
+        if keep.sum() > self._max_passes:
             keep &= worth >= np.partition(worth, -self._max_passes)[-self._max_passes]
         return passes if keep.all() else select(passes, keep)

@@ -27,7 +27,7 @@ STRAY_M = 25.0
 """Travel off all known lanes that may be along an unknown one: broken tracks are shorter."""
 CELL_M = 6.0
 CELLS_PER_TURN = 8
-BUNDLE = 3
+BUNDLE = 4
 """Vehicles off the known lanes, all through one place, that may be a lane."""
 MORE = 4
 """Times as many as before it takes where they made no lane: that place seldom makes one now."""

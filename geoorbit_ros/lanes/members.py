@@ -67,8 +67,11 @@ def find_members(
     stations, rows = len(profiles.station_m), len(profiles.passes)
     middle = table(ridges, [r.d for r in ridges], stations, np.inf)
     direction = table(ridges, directions, stations, 0.0)
-    away = np.abs(profiles.d - middle.take(profiles.station, axis=1))
-    lane, sample = np.nonzero(away <= MAX_OFFSET_M)
+    near = [
+        np.flatnonzero(np.abs(profiles.d - line[profiles.station]) <= MAX_OFFSET_M)
+        for line in middle
+    ]
+    lane, sample = np.repeat(np.arange(len(near)), [len(k) for k in near]), np.concatenate(near)
     row, station = profiles.row[sample], profiles.station[sample]
     sideways_m = np.where(alone, SIDEWAYS_ALONE_M, SIDEWAYS_M)[lane]
     turned = np.abs(profiles.slope[sample] - direction[lane, station])
@@ -77,7 +80,7 @@ def find_members(
     length = totals(pair, along, len(ridges) * rows) / STATIONS_PER_SCALE
     enough = length >= MIN_SUPPORT
     inside = along & enough[pair]
-    near = totals(lane, profiles.weight[row], len(ridges))
+    traffic = totals(lane, profiles.weight[row], len(ridges))
     mass = totals(lane, profiles.weight[row] * inside, len(ridges))
     lane, sample = lane[inside], sample[inside]
     vehicles, evidence = _distinct(profiles, ridges, lane, sample, enough)
@@ -86,7 +89,7 @@ def find_members(
         sample,
         vehicles,
         evidence,
-        mass / np.maximum(near, 1e-9),
+        mass / np.maximum(traffic, 1e-9),
         _presence(profiles, ridges, lane, sample),
     )
 
@@ -105,11 +108,14 @@ def keeping_lane(
         return np.ones(len(profiles.d))
     stations = len(profiles.station_m)
     middle = table(ridges, [r.d for r in ridges], stations, np.inf)
-    away = np.abs(profiles.d - middle.take(profiles.station, axis=1))
-    nearest = away.argmin(axis=0)
-    direction = table(ridges, directions, stations, 0.0)[nearest, profiles.station]
-    across = (profiles.slope - direction) * profiles.scale_m[profiles.station]
-    across[away[nearest, np.arange(len(nearest))] >= MIN_SPACING_M] = 0.0
+    direction = table(ridges, directions, stations, 0.0)
+    nearest, expected = np.full(len(profiles.d), MIN_SPACING_M), profiles.slope.copy()
+    for line, slope in zip(middle, direction, strict=True):
+        away = np.abs(profiles.d - line[profiles.station])
+        closer = np.flatnonzero(away < nearest)
+        nearest[closer] = away[closer]
+        expected[closer] = slope[profiles.station[closer]]
+    across = (profiles.slope - expected) * profiles.scale_m[profiles.station]
     across /= 0.6 * SIDEWAYS_M
     across *= across
     return np.asarray(1.0 / (1.0 + across * across))

@@ -9,7 +9,7 @@ from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.core.tables import Frames
 from geoorbit_ros.lanes.curvilinear import CurvilinearEstimator
 from geoorbit_ros.lanes.evidence import Evidence
-from geoorbit_ros.lanes.increment import LaneCounter, Strays
+from geoorbit_ros.lanes.increment import BUNDLE, MORE, LaneCounter, Strays
 from geoorbit_ros.lanes.parameters import LaneParameters
 from geoorbit_ros.lanes.passes import Passes
 
@@ -103,23 +103,23 @@ def passes_at(y_m: float, count: int) -> Passes:
     return evidence.passes()[0]
 
 
-def test_strays_are_news_when_three_take_the_same_way() -> None:
+def test_strays_are_news_when_several_take_the_same_way() -> None:
     strays = Strays()
     ways = [passes_at(20.0 * k, 1) for k in range(5)]
     assert not any(strays.add(way, np.arange(len(way.xy))) for way in ways)
-    assert not strays.add(ways[0], np.arange(len(ways[0].xy)))
-    assert strays.add(ways[0], np.arange(len(ways[0].xy)))
+    again = [strays.add(ways[0], np.arange(len(ways[0].xy))) for _ in range(BUNDLE - 1)]
+    assert again == [False] * (BUNDLE - 2) + [True]
 
 
-def test_strays_that_made_no_lane_are_news_at_four_times_as_many() -> None:
+def test_strays_that_made_no_lane_are_news_when_many_more_come() -> None:
     strays = Strays()
     way = passes_at(0.0, 1)
     news = []
-    for _ in range(12):
+    for _ in range(BUNDLE * MORE):
         news.append(strays.add(way, np.arange(len(way.xy))))
         if news[-1]:
             strays.derived()
-    assert [k + 1 for k, new in enumerate(news) if new] == [3, 12]
+    assert [k + 1 for k, new in enumerate(news) if new] == [BUNDLE, BUNDLE * MORE]
 
 
 def test_vehicles_in_known_lanes_are_counted_and_no_strays() -> None:
