@@ -14,7 +14,7 @@ from typing import Annotated
 import typer
 
 from geoorbit_ros import __version__
-from geoorbit_ros.cli import bag, camera, database, scene, twin
+from geoorbit_ros.cli import bag, camera, database, federation, scene, twin
 from geoorbit_ros.cli import map as road_map
 from geoorbit_ros.cli.demo import demo
 from geoorbit_ros.cli.detect import detect
@@ -93,6 +93,7 @@ app.add_typer(bag.app, name="bag")
 app.add_typer(database.app, name="db")
 app.add_typer(road_map.app, name="map")
 app.add_typer(twin.app, name="twin")
+app.add_typer(federation.app, name="federation")
 
 
 def _reflow(commands: typer.Typer) -> None:
