@@ -10,7 +10,7 @@ import typer
 app = typer.Typer(no_args_is_help=True, help="Keys of a federation, and what privacy is worth.")
 
 
-@app.command()
+@app.command("key")
 def key(
     file: Annotated[Path, typer.Argument(help="New file for the private key.")],
 ) -> None:
@@ -26,7 +26,7 @@ def key(
     typer.echo(f"{file.stem} {write_private_key(file).hex()}")
 
 
-@app.command()
+@app.command("epsilon")
 def epsilon(
     noise: Annotated[float, typer.Argument(help="noise_multiplier of federated_server.")],
     rounds: Annotated[int, typer.Argument(help="Rounds that a camera takes part in.")],
