@@ -57,12 +57,13 @@ def detect(
     """Find the vehicles in every image of a camera.
 
     Without a model, the camera must stand still: everything that moves on the road is a vehicle.
-    With [bold]--model[/bold], any YOLO export to ONNX (v8, v10, 11, 12, 26, YOLOX) does.
+    A recording is looked at twice, first to learn the road. With [bold]--model[/bold], any YOLO export to ONNX (v8, v10, 11, 12, 26, YOLOX) does.
 
     Example: [bold]geoorbit detect north.mp4 --out det.txt[/bold], then
     [bold]geoorbit track --detections det.txt --fps 25 --out tracks.txt[/bold]
     """
     from geoorbit_ros.cli.console import console, status
+    from geoorbit_ros.cli.priming import prime_detector
     from geoorbit_ros.detection.factory import make_detector
     from geoorbit_ros.storage.mot_text import write_mot
 
@@ -73,6 +74,7 @@ def detect(
         detector = make_detector(model, min_score=min_score, class_names=names)
     run = _Run(detector, picture)
     with _opened(source, fps, duration) as images:
+        prime_detector(detector, images, duration)
         boxes = write_mot(out, run.frames(images, duration))
     console.print(f" {boxes} boxes in {run.count} images, by {detector.name}.")
     console.print(f" Wrote {out}" + (f" and {picture}" if picture else ""), soft_wrap=True)

@@ -59,13 +59,14 @@ def process(
 ) -> None:
     """Find vehicles, tracks and lanes in a video or any other source of images, offline.
 
-    Into the folder go detections.txt and tracks.txt (MOTChallenge text), tracks.csv (for
+    A recording is looked at twice, first to learn the road. Into the folder go detections.txt and tracks.txt (MOTChallenge text), tracks.csv (for
     [bold]geoorbit lanes[/bold]), lanes.geojson and report.html: all of them or none.
 
     Example: [bold]geoorbit process north.mp4 --calibration calibration.csv --out north[/bold]
     """
     from geoorbit_ros.cli.camera_run import CameraRun, WatchedMapper
     from geoorbit_ros.cli.console import console, status
+    from geoorbit_ros.cli.priming import prime_detector
     from geoorbit_ros.cli.report import describe_method, save_report
     from geoorbit_ros.cli.tables import print_lanes
     from geoorbit_ros.detection.factory import make_detector
@@ -87,6 +88,7 @@ def process(
     name = camera_id or _name(source)
     with opened_source(source, fps, duration) as images, atomic_output(out) as folder:
         folder.mkdir()
+        prime_detector(detector, images, duration)
         ground = run.ground_tracks(
             shown_images(images, duration),
             folder / VIDEO if video else None,

@@ -15,7 +15,7 @@ from geoorbit_ros.detection.motion_pixels import scaled
 SAMPLES = 31
 """Pictures behind the most usual value."""
 FIRST_SPACING_S, LAST_SPACING_S = 0.2, 3.2
-"""Time between them at first and later on, which makes a window of 100 s: a vehicle that stands
+"""Time between them at first and after 100 s, which then is their window: a vehicle that stands
 still for a third of it becomes part of the road."""
 MIN_SAMPLES = 5
 FIRST_STRIPS, LAST_STRIPS = 2, 24
@@ -45,8 +45,8 @@ class RoadBackground:
 
     def __init__(self) -> None:
         self._samples: list[Image] = []
-        self._spacing_s = FIRST_SPACING_S
-        self._sampled_ns: int | None = None
+        self._sampled_ns: list[int] = []
+        self._reference = np.empty((0, 3), dtype=np.float32)
         self._followed_ns: int | None = None
         self._strips: list[slice] = []
         self.mean = np.empty((0, 0, 3), dtype=np.float32)
@@ -60,10 +60,9 @@ class RoadBackground:
 
     def sample(self, stamp_ns: int, picture: Image) -> None:
         """Keep this picture for the most usual value if it's time to, and work on that."""
-        last = self._sampled_ns
-        if last is None or not 0 <= stamp_ns - last < self._spacing_s * 1e9:
-            self._sampled_ns = stamp_ns
-            self._keep(picture)
+        stamps = self._sampled_ns
+        if not stamps or not 0 <= stamp_ns - stamps[-1] < self._spacing_s() * 1e9:
+            self._keep(stamp_ns, picture)
         if len(self._samples) < MIN_SAMPLES:
             return
         if not self.ready:
@@ -74,7 +73,10 @@ class RoadBackground:
 
     def rewind(self) -> None:
         """Take the next stamp as it comes, be it earlier than the last; the road stays known."""
-        self._sampled_ns = self._followed_ns = None
+        if self._sampled_ns:
+            back_ns = self._sampled_ns[-1]
+            self._sampled_ns = [stamp_ns - back_ns for stamp_ns in self._sampled_ns]
+        self._followed_ns = None
 
     def move(self, shift_px: NDArray[np.float64]) -> None:
         """Move the known road (2,) pixels right and down, and learn it anew from there."""
@@ -83,14 +85,15 @@ class RoadBackground:
         moved = cv2.warpAffine(self.mean, matrix, size, borderMode=cv2.BORDER_REPLICATE)
         self.restart(np.asarray(moved))
         self._samples.clear()
+        self._sampled_ns.clear()
         self._strips.clear()
-        self._spacing_s = FIRST_SPACING_S
 
     def restart(self, road: NDArray[np.generic]) -> None:
         """Begin with this picture of the empty road."""
         self.mean = road.astype(np.float32)
         self._deviation = np.full(road.shape[:2], FIRST_DEVIATION, dtype=np.float32)
         self.contrast = np.full(road.shape[:2], MIN_CONTRAST)
+        self._reference = _grid(self.mean)
 
     def difference(self, picture: Image) -> tuple[NDArray[np.uint8], Image]:
         """(H, W) largest difference of any channel from the road; the road as it looks now."""
@@ -120,29 +123,46 @@ class RoadBackground:
         wanted = cv2.convertScaleAbs(self._deviation, alpha=NOISE_FACTOR)
         self.contrast = np.clip(np.asarray(wanted, np.uint8), MIN_CONTRAST, MAX_CONTRAST)
 
-    def _gain(self, picture: Image, rows: slice = slice(None)) -> NDArray[np.float32]:
-        """(3,) how much brighter the picture is than these rows of the road, by channel."""
-        now = picture[::_GRID, ::_GRID].reshape(-1, 3).astype(np.float32)
-        then = self.mean[rows][::_GRID, ::_GRID].reshape(-1, 3)
-        return np.asarray(np.median((now + 1.0) / (then + 1.0), axis=0), dtype=np.float32)
+    def _gain(self, picture: Image) -> NDArray[np.float32]:
+        """(3,) how much brighter the picture is than the road, by channel."""
+        return _ratio(_grid(picture), _grid(self.mean))
 
-    def _keep(self, picture: Image) -> None:
-        if len(self._samples) == SAMPLES and self._spacing_s < LAST_SPACING_S:
-            del self._samples[::2]
-            self._spacing_s *= 2.0
-        if len(self._samples) == SAMPLES:
-            del self._samples[0]
-        # In the light of the road as it is known, so that clouds don't make two roads of it.
-        gain = self._gain(picture) if self.ready else np.ones(3)
-        self._samples.append(scaled(picture, 1.0 / gain))
+    def _spacing_s(self) -> float:
+        window_s = (self._sampled_ns[-1] - self._sampled_ns[0]) / 1e9
+        return float(np.clip(window_s / SAMPLES, FIRST_SPACING_S, LAST_SPACING_S))
+
+    def _keep(self, stamp_ns: int, picture: Image) -> None:
+        stamps = self._sampled_ns
+        if stamps and stamp_ns < stamps[-1]:  # a source that started again
+            stamps[:] = [stamp - stamps[-1] + stamp_ns - 1 for stamp in stamps]
+        if len(stamps) == SAMPLES:
+            gaps = np.diff(stamps)
+            # Thinned where they are closest, until the window is long enough to move on.
+            drop = int(np.argmin(gaps)) + 1 if gaps.min() < 0.9e9 * LAST_SPACING_S else 0
+            del stamps[drop], self._samples[drop]
+        # All in the same light, so that clouds don't make two roads of one.
+        light = _ratio(_grid(picture), self._reference) if self.ready else np.ones(3)
+        self._samples.append(scaled(picture, 1.0 / light))
+        stamps.append(stamp_ns)
         if self._strips:
             return
-        strips = FIRST_STRIPS if self._spacing_s < 1.0 else LAST_STRIPS
+        strips = FIRST_STRIPS if self._spacing_s() < 1.0 else LAST_STRIPS
         edges = np.linspace(0, len(picture), strips + 1).astype(int).tolist()
         self._strips = [slice(a, b) for a, b in pairwise(edges)]
 
     def _correct(self, rows: slice, usual: Image) -> None:
-        seen = usual.astype(np.float32) / self._gain(usual, rows)
+        light = _ratio(_grid(self.mean), self._reference)
+        seen = usual.astype(np.float32) * light
         apart = np.abs(seen - self.mean[rows]).max(axis=2) > MIN_CONTRAST
         self.mean[rows][apart] = seen[apart]
         self._deviation[rows][apart] = FIRST_DEVIATION
+
+
+def _grid(picture: NDArray[np.generic]) -> NDArray[np.float32]:
+    """(N, 3) pixels on a grid, enough to tell how bright the picture is."""
+    return picture[::_GRID, ::_GRID].reshape(-1, 3).astype(np.float32)
+
+
+def _ratio(now: NDArray[np.float32], then: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(3,) usual ratio of two grids, channel by channel."""
+    return np.asarray(np.median((now + 1.0) / (then + 1.0), axis=0), dtype=np.float32)
