@@ -72,7 +72,7 @@ def train(
     )
     table = make_table(
         f"Fleet {study.fleet.name}",
-        "estimator|mode|>seed|>rounds|>parameter loss|>total loss, seen|>bytes|judged",
+        "estimator|mode|>seed|>rounds|>L_param|>L_total|>kB|judged",
     )
     for name in estimator or list(EstimatorName):
         with shown_progress() as progress:
@@ -91,10 +91,10 @@ def train(
                 kind,
                 str(seed),
                 str(last.number - 1),
-                f"{first.parameter_loss:.3f} → {last.parameter_loss:.3f}",
-                f"{first.composite_loss:.1f} → {last.composite_loss:.1f}",
-                f"{model.traffic.total_bytes:,}" if model.traffic.total_bytes else "–",
-                "better" if model.acceptance.accepted else "[yellow]defaults kept[/]",
+                f"{first.parameter_loss:.2f} → {last.parameter_loss:.2f}",
+                f"{first.composite_loss:.4g} → {last.composite_loss:.4g}",
+                f"{model.traffic.total_bytes / 1e3:.0f}" if model.traffic.total_bytes else "–",
+                "better" if model.acceptance.accepted else "[yellow]no gain[/]",
             )
     console.print(table)
     console.print(f" Wrote {out}; next: geoorbit evaluate --out {out}", soft_wrap=True)

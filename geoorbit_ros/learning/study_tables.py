@@ -13,7 +13,7 @@ import numpy as np
 
 from geoorbit_ros.federated.traffic import Traffic
 from geoorbit_ros.learning.camera_task import load_task
-from geoorbit_ros.learning.evaluation import FEDMETA, META, ModelResult
+from geoorbit_ros.learning.evaluation import BASELINE, FEDMETA, META, ModelResult
 from geoorbit_ros.learning.meta_learner import MetaLearner
 from geoorbit_ros.learning.model_file import load_model
 from geoorbit_ros.learning.study import Study
@@ -56,12 +56,12 @@ def loss_table(rows: Sequence[ModelResult], estimator: str) -> Table:
     header = ("cameras", "model", *TERMS, "median total", "total against baseline")
     body = []
     for split, model, group in _groups(rows):
-        baseline = next(r for r in rows if r.model == rows[0].model and r.split == split)
-        ratio = [r.mean("total") / baseline.mean("total") - 1.0 for r in group]
+        fixed = [r for r in rows if (r.model, r.split) == (BASELINE, split)]
+        ratio = [_total(r) / _total(fixed[0], r) - 1.0 for r in group]
         cells = [_spread([r.mean(term) for r in group]) for term in TERMS]
         median = _spread([r.median_total() for r in group])
         body.append([split, model, *cells, median, _percent(ratio)])
-    count = {split: len(group[0].cameras) for split, _, group in _groups(rows)}
+    count = {row.split: len(row.cameras) for row in rows if row.model == BASELINE}
     cameras = ", ".join(f"{n} {split}" for split, n in count.items())
     seeds = max(len(group) for _, _, group in _groups(rows))
     title = f"Losses, {estimator}: mean over cameras ({cameras}) ± spread over {seeds} seeds"
@@ -172,6 +172,12 @@ def _groups(rows: Sequence[ModelResult]) -> list[tuple[str, str, list[ModelResul
         for split, model in ordered
         if any(r.cameras for r in rows if (r.split, r.model) == (split, model))
     ]
+
+
+def _total(row: ModelResult, like: ModelResult | None = None) -> float:
+    """Mean L_total, over the cameras of another row where that has fewer."""
+    names = (like or row).cameras
+    return float(np.mean([row.cameras[name].losses.total for name in names]))
 
 
 def _model_bytes(learner: MetaLearner) -> int:
