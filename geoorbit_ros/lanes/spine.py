@@ -90,10 +90,10 @@ class Spine:
         sample = self.xy[::COARSE]
         middle = sample.mean(axis=0)
         sample = sample - middle
-        # |p - q|^2 without |p|^2, which is alike for all samples q.
-        score = (xy - middle) @ (-2.0 * sample.T)
-        score += (sample**2).sum(axis=1)
-        return np.asarray(score.argmin(axis=1) * (COARSE * STEP_M))
+        # |p - q|^2 without |p|^2, which is alike for all samples q; single precision will do.
+        point = np.column_stack([xy - middle, np.ones(len(xy))]).astype(np.float32)
+        factor = np.column_stack([-2.0 * sample, (sample**2).sum(axis=1)]).astype(np.float32)
+        return np.asarray((point @ factor.T).argmin(axis=1) * (COARSE * STEP_M))
 
     def _at(
         self, s: NDArray[np.float64], *values: NDArray[np.float64]
