@@ -59,8 +59,9 @@ def process(
 ) -> None:
     """Find vehicles, tracks and lanes in a video or any other source of images, offline.
 
-    A recording is looked at twice, first to learn the road. Into the folder go detections.txt and tracks.txt (MOTChallenge text), tracks.csv (for
-    [bold]geoorbit lanes[/bold]), lanes.geojson and report.html: all of them or none.
+    Without a model a recording is looked at twice, first to learn the road. Into the folder go
+    detections.txt and tracks.txt (MOTChallenge text), tracks.csv (for [bold]geoorbit
+    lanes[/bold]), lanes.geojson and report.html: all of them or none.
 
     Example: [bold]geoorbit process north.mp4 --calibration calibration.csv --out north[/bold]
     """
