@@ -131,7 +131,9 @@ def compare_speed(fleet: Fleet, folder: Path) -> None:
     shapes = json.dumps(fleet.shapes)
     np.savez(arrays, shapes=np.array(shapes), updates=fleet.updates, counts=fleet.counts)
     before = fleet.server.layout.flatten(fleet.server.tensors)
-    own, peer, mean = [fleet.round_s()], [], []
+    own = [fleet.round_s()]
+    peer: list[float] = []
+    mean: list[float] = []
     found = fleet.server.layout.flatten(fleet.server.tensors) - before
     for _ in range(REPEATS):
         seconds, mean = peer_round(arrays)
