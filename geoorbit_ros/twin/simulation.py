@@ -323,6 +323,8 @@ _OPTIONS = (
     "--collision.check-junctions=false",
     "--ignore-route-errors=true",
     "--max-depart-delay=-1",
+    # SUMO's drivers have nothing to decide while vehicles are put in every step: half the cost.
+    "--default.action-step-length=10",
 )
 
 
