@@ -44,6 +44,7 @@ def stamp_ns(message: CompressedImage) -> int:
 
 def level(message: CompressedImage) -> int:
     image = cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_UNCHANGED)
+    assert image is not None
     return round(float(image.mean()))
 
 
