@@ -16,7 +16,11 @@ from geoorbit_ros.cli.report import report
 from geoorbit_ros.core.errors import InputFileError
 from geoorbit_ros.lanes.mapper import DEFAULT_UPDATE_PERIOD_S
 
-COMMANDS = ("demo", "lanes", "replay", "score", "report", "scene", "bag", "db")
+COMMANDS = (
+    *("demo", "lanes", "process", "replay", "detect", "track", "score", "report", "train"),
+    *("evaluate", "export", "up", "status", "view", "scene", "camera", "bag", "db", "map", "twin"),
+    "federation",
+)
 
 
 def python(code: str) -> subprocess.CompletedProcess[str]:
