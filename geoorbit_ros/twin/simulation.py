@@ -6,7 +6,6 @@ when asked for). Both speak the same Python interface, so that one class drives 
 
 from __future__ import annotations
 
-import os
 import shutil
 import subprocess
 import tempfile
@@ -22,13 +21,15 @@ from numpy.typing import NDArray
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.twin.errors import SimulationError
 from geoorbit_ros.twin.running_network import write_running_network
+from geoorbit_ros.twin.sumo_process import (
+    CLOSE_TIMEOUT_S,
+    exit_words,
+    first_line,
+    start_program,
+)
 from geoorbit_ros.twin.vehicle_types import write_types
 
 Backend = Literal["libsumo", "traci"]
-START_RETRIES, RETRY_S = 200, 0.1
-CLOSE_TIMEOUT_S = 10.0
-_LEAKED = ("LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")
-"""Variables that the ROS wheels set for their own process; no other program may see them."""
 _FREE_PLACE = 6
 """`keepRoute` of moveToXY: leave the route and the road (2), on lanes closed to the class (4)."""
 _ARRIVED = 2
@@ -262,30 +263,15 @@ class SumoSimulation:
         try:
             libsumo.start(["sumo", *arguments])
         except (*self._fatal, RuntimeError) as error:
-            raise SimulationError("SUMO", _first_line(error), "a simulation") from error
+            raise SimulationError("SUMO", first_line(error), "a simulation") from error
         _running_in_process = True
         self._sumo = libsumo
 
     def _start_program(self, program: str, arguments: list[str]) -> None:
-        import sumolib
         import traci
 
         self._fatal = (traci.TraCIException, traci.FatalTraCIError, OSError)
-        path = shutil.which(sumolib.checkBinary(program))
-        if path is None:
-            raise SimulationError("SUMO", f"no program '{program}'", "pip install eclipse-sumo")
-        port = sumolib.miscutils.getFreeSocketPort()
-        env = {key: value for key, value in os.environ.items() if key not in _LEAKED}
-        gui = ["--start", "--quit-on-end"] if program == "sumo-gui" else []
-        log = self._folder / "sumo.log"
-        with log.open("wb") as output:
-            self._process = subprocess.Popen(
-                [path, *arguments, *gui, f"--remote-port={port}"],
-                env=env,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-            )
-        self._sumo = _connect(port, self._process, log)
+        self._process, self._sumo = start_program(program, arguments, self._folder)
 
     def _watched(self) -> _Watch:
         return _Watch(self)
@@ -309,9 +295,9 @@ class _Watch:
             with suppress(subprocess.TimeoutExpired):
                 process.wait(0.5)
             if process.returncode is not None:
-                found = f"its process ended with {_status(process.returncode)}"
+                found = f"its process ended with {exit_words(process.returncode)}"
                 raise SimulationError("SUMO", found, "a running simulation") from error
-        raise SimulationError("SUMO", _first_line(error), "a running simulation") from error
+        raise SimulationError("SUMO", first_line(error), "a running simulation") from error
 
 
 _OPTIONS = (
@@ -326,43 +312,3 @@ _OPTIONS = (
     # SUMO's drivers have nothing to decide while vehicles are put in every step: half the cost.
     "--default.action-step-length=10",
 )
-
-
-def _connect(port: int, process: subprocess.Popen[bytes], log: Path) -> Any:
-    """A TraCI connection to a SUMO that has read its network; it listens before that."""
-    import time
-
-    import traci
-    from traci.connection import Connection
-
-    for _ in range(START_RETRIES):
-        if process.poll() is not None:
-            break
-        try:
-            connection = Connection("localhost", port, process, None, False, None)
-            connection.getVersion()
-            return connection
-        except OSError:
-            time.sleep(RETRY_S)
-        except (traci.TraCIException, traci.FatalTraCIError):
-            break
-    else:
-        process.kill()
-        process.wait()
-        found = f"no answer in {START_RETRIES * RETRY_S:g} s"
-        raise SimulationError("SUMO", found, "a simulation")
-    with suppress(subprocess.TimeoutExpired):
-        process.wait(CLOSE_TIMEOUT_S)
-    text = log.read_text(errors="replace").strip().splitlines()
-    errors = [line for line in text if line.startswith("Error")] or text
-    found = errors[0][:300] if errors else "an end without a message"
-    raise SimulationError("SUMO", found, "a simulation")
-
-
-def _status(code: int) -> str:
-    return f"signal {-code}" if code < 0 else f"exit status {code}"
-
-
-def _first_line(error: BaseException) -> str:
-    lines = str(error).strip().splitlines()
-    return lines[0][:300] if lines else type(error).__name__

@@ -1,0 +1,93 @@
+"""SUMO as a program of its own, spoken to through TraCI."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from geoorbit_ros.twin.errors import SimulationError
+
+START_RETRIES, RETRY_S = 200, 0.1
+CLOSE_TIMEOUT_S = 10.0
+_LEAKED = ("LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")
+"""Variables that the ROS wheels set for their own process; no other program may see them."""
+
+
+def start_program(
+    program: str, arguments: list[str], folder: Path
+) -> tuple[subprocess.Popen[bytes], Any]:
+    """Start `sumo` or `sumo-gui`; the process and its TraCI connection.
+
+    Args:
+        program: Name of the program.
+        arguments: Its options.
+        folder: Where its log goes.
+
+    Raises:
+        SimulationError: It is not there, refuses its input or does not answer.
+    """
+    import sumolib
+
+    path = shutil.which(sumolib.checkBinary(program))
+    if path is None:
+        raise SimulationError("SUMO", f"no program '{program}'", "pip install eclipse-sumo")
+    port = sumolib.miscutils.getFreeSocketPort()
+    env = {key: value for key, value in os.environ.items() if key not in _LEAKED}
+    gui = ["--start", "--quit-on-end"] if program == "sumo-gui" else []
+    log = folder / "sumo.log"
+    with log.open("wb") as output:
+        process = subprocess.Popen(
+            [path, *arguments, *gui, f"--remote-port={port}"],
+            env=env,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+        )
+    try:
+        return process, _connect(port, process, log)
+    except BaseException:
+        process.kill()
+        process.wait()
+        raise
+
+
+def _connect(port: int, process: subprocess.Popen[bytes], log: Path) -> Any:
+    """A TraCI connection to a SUMO that has read its network; it listens before that."""
+    import traci
+    from traci.connection import Connection
+
+    for _ in range(START_RETRIES):
+        if process.poll() is not None:
+            break
+        try:
+            connection = Connection("localhost", port, process, None, False, None)
+            connection.getVersion()
+            return connection
+        except OSError:
+            time.sleep(RETRY_S)
+        except (traci.TraCIException, traci.FatalTraCIError):
+            break
+    else:
+        found = f"no answer in {START_RETRIES * RETRY_S:g} s"
+        raise SimulationError("SUMO", found, "a simulation")
+    with suppress(subprocess.TimeoutExpired):
+        process.wait(CLOSE_TIMEOUT_S)
+    text = log.read_text(errors="replace").strip().splitlines()
+    errors = [line for line in text if line.startswith("Error")] or text
+    found = errors[0][:300] if errors else "an end without a message"
+    raise SimulationError("SUMO", found, "a simulation")
+
+
+def exit_words(code: int) -> str:
+    """How a process ended."""
+    return f"signal {-code}" if code < 0 else f"exit status {code}"
+
+
+def first_line(error: BaseException) -> str:
+    """What an error says, in one line."""
+    lines = str(error).strip().splitlines()
+    return lines[0][:300] if lines else type(error).__name__
