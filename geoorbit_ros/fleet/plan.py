@@ -151,7 +151,7 @@ def camera_nodes(
         }
     else:
         model = str(base / camera.model) if camera.model else ""
-        wiring["tracker"] = {}
+        wiring["tracker"] = dict(size)
         wiring["detector"] = {"model": model}
         wiring["camera"] = {"source": image_source(camera, base)}
         if camera.kind != "stream":
