@@ -33,6 +33,7 @@ KERNEL_SIGMA_BINS = 2.0
 PEAK_DISTANCE_BINS = 3
 CENTERLINE_POINTS = 30
 MIN_POINTS = 5
+SPLINE_TRIES = 8
 MEMORY_S = 60.0
 """The paper's observation period."""
 
@@ -165,12 +166,9 @@ def _lane(
     sigma = max(float(np.std(x)), 1e-6)
     if y[-1] - y[0] <= 0.0:
         return None
-    # FITPACK's s bounds sum((w r)^2); with w = 1/sigma its neutral value is the number of points.
-    bound = parameters.smoothing / REFERENCE_SMOOTHING * len(x)
-    spline = UnivariateSpline(y, x, w=np.full(len(x), 1.0 / sigma), s=bound)
     y_fit = np.linspace(y[0], y[-1], CENTERLINE_POINTS)
-    x_fit = spline(y_fit)
-    if not np.isfinite(x_fit).all():  # FITPACK gives up where too little smoothing is asked for
+    x_fit = _spline(x, y, y_fit, sigma, parameters.smoothing)
+    if x_fit is None:
         return None
     dx, dy = np.gradient(x_fit), np.gradient(y_fit)
     norm = np.hypot(dx, dy)
@@ -195,3 +193,28 @@ def _lane(
         "confirmed",
         float(vehicles),
     )
+
+
+def _spline(
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    y_fit: NDArray[np.float64],
+    sigma: float,
+    smoothing: float,
+) -> NDArray[np.float64] | None:
+    """x(y; s) at `y_fit`; None where FITPACK finds none.
+
+    Asked for too little smoothing, FITPACK gives up and returns a curve that is not finite or
+    swings far away from its points. Then s is doubled, as its manual advises, until the curve
+    stays within one spread of them.
+    """
+    # FITPACK's s bounds sum((w r)^2); with w = 1/sigma its neutral value is the number of points.
+    bound = smoothing / REFERENCE_SMOOTHING * len(x)
+    low, high = float(x.min()), float(x.max())
+    for _ in range(SPLINE_TRIES):
+        spline = UnivariateSpline(y, x, w=np.full(len(x), 1.0 / sigma), s=bound)
+        x_fit = np.asarray(spline(y_fit), dtype=np.float64)
+        if np.all((x_fit > 2.0 * low - high - sigma) & (x_fit < 2.0 * high - low + sigma)):
+            return x_fit
+        bound *= 2.0
+    return None

@@ -13,7 +13,7 @@ import numpy as np
 
 from geoorbit_ros.federated.traffic import Traffic
 from geoorbit_ros.learning.camera_task import load_task
-from geoorbit_ros.learning.evaluation import BASELINE, FEDMETA, META, ModelResult
+from geoorbit_ros.learning.evaluation import BASELINE, FEDMETA, META, CameraResult, ModelResult
 from geoorbit_ros.learning.meta_learner import MetaLearner
 from geoorbit_ros.learning.model_file import load_model
 from geoorbit_ros.learning.study import Study
@@ -75,6 +75,7 @@ def error_table(rows: Sequence[ModelResult], estimator: str) -> Table:
         "model",
         "no lane found %",
         "lane count right %",
+        "all found, none invented %",
         "8+ veh. confirmed %",
         "3–7 veh. found %",
         "invented per camera",
@@ -98,6 +99,7 @@ def error_table(rows: Sequence[ModelResult], estimator: str) -> Table:
                 model,
                 _number(100.0 * float(np.mean([r.losses.detected == 0 for r in results])), 1),
                 _number(100.0 * float(np.mean([r.count_right for r in results])), 1),
+                _number(100.0 * float(np.mean([_passed(r) for r in results])), 1),
                 _number(100.0 * tally.busy_confirmed / max(tally.busy, 1), 1),
                 _number(100.0 * tally.sparse_found / max(tally.sparse, 1), 1),
                 _number(tally.invented / cameras, 3),
@@ -172,6 +174,10 @@ def _groups(rows: Sequence[ModelResult]) -> list[tuple[str, str, list[ModelResul
         for split, model in ordered
         if any(r.cameras for r in rows if (r.split, r.model) == (split, model))
     ]
+
+
+def _passed(result: CameraResult) -> bool:
+    return result.score is not None and result.score.passed
 
 
 def _total(row: ModelResult, like: ModelResult | None = None) -> float:
