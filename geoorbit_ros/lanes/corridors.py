@@ -90,14 +90,16 @@ def _straightness(
 ) -> NDArray[np.float64]:
     """(P,) 1 for a pass that keeps its heading over its nodes `left`, 1/2 for one that turns off.
 
-    At a junction the road is what the traffic going straight follows; turns branch from it.
+    At a junction the road is what the traffic going straight follows; turns branch from it. And a
+    track that went from one vehicle to the next is no guide.
     """
     node = np.flatnonzero(left)
     begin = np.searchsorted(owner[node], np.arange(len(passes)))
     end = np.searchsorted(owner[node], np.arange(len(passes)), side="right")
     some = end > begin
-    first, last = node[begin[some]], node[end[some] - 1]
-    turn = np.abs(wrap_rad(passes.heading[last] - passes.heading[first]))
+    first = passes.heading[np.repeat(node[begin[some]], (end - begin)[some])]
+    away = np.abs(wrap_rad(passes.heading[node] - first))
+    turn = np.maximum.reduceat(away, begin[some])
     result = np.zeros(len(passes))
     result[some] = 1.0 - 0.5 * np.minimum(turn / (0.5 * np.pi), 1.0)
     return result
