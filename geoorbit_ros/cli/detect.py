@@ -57,7 +57,8 @@ def detect(
     """Find the vehicles in every image of a camera.
 
     Without a model, the camera must stand still: everything that moves on the road is a vehicle.
-    A recording is looked at twice, first to learn the road. With [bold]--model[/bold], any YOLO export to ONNX (v8, v10, 11, 12, 26, YOLOX) does.
+    A recording is looked at twice, first to learn the road. With [bold]--model[/bold], any YOLO
+    export to ONNX (v8, v10, 11, 12, 26, YOLOX) does.
 
     Example: [bold]geoorbit detect north.mp4 --out det.txt[/bold], then
     [bold]geoorbit track --detections det.txt --fps 25 --out tracks.txt[/bold]

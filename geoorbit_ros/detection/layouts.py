@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -141,6 +142,7 @@ def cell_count(canvas: tuple[int, int], strides: tuple[int, ...]) -> int:
     return sum((canvas[0] // stride) * (canvas[1] // stride) for stride in strides)
 
 
+@lru_cache(maxsize=8)
 def grid_cells(
     canvas: tuple[int, int], strides: tuple[int, ...]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

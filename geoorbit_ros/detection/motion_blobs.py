@@ -23,7 +23,9 @@ ONE_WIDTH, ONE_HEIGHT = 1.4, 1.5
 MIN_PART = 0.3
 """Parts smaller than this, by height or by area, of a car are no vehicle."""
 SOUND_FILL = 0.8
-"""Sizes are learnt from patches that fill this much of their convex hull."""
+"""A patch by itself that fills this much of its convex hull is a vehicle, of whatever size; cars'
+sizes are learnt from such."""
+SOUND_LIKENESS = 0.6
 MAX_CUTS = 4
 
 
@@ -95,7 +97,11 @@ def _vehicles(patch: _Patch, image: tuple[int, ...], sizes: VehicleSizes) -> lis
         return []
     if not sizes.known or _is_one(box, sizes):
         blob = _blob(patch, box, image, sizes, alone=True)
-        return [blob] if _large_enough(blob, sizes, image) else []
+        sound = blob.fill > SOUND_FILL
+        return [blob] if sound or _large_enough(blob, sizes, image) else []
+    whole = _blob(patch, box, image, sizes, alone=True)
+    if whole.fill > CONVEX:
+        return [whole]
     parts = []
     for part in _pieces(_closed(patch, sizes), 4):
         parts += _cut(part, sizes, MAX_CUTS)
@@ -145,10 +151,13 @@ def _blob(
 ) -> Blob:
     _, _, fill = _outline(patch)
     cut_off = _touches_border(box, image)
-    unlike = 0.5
+    sound = alone and fill > SOUND_FILL
+    likeness = SOUND_LIKENESS
     if sizes.known and not cut_off:
-        unlike = unlikeness(box, fill, sizes)
-    return Blob(box, alone and fill > SOUND_FILL and not cut_off, fill, float(np.exp(-unlike)))
+        likeness = float(np.exp(-unlikeness(box, fill, sizes)))
+    if sound:
+        likeness = max(likeness, SOUND_LIKENESS)
+    return Blob(box, sound and not cut_off, fill, likeness)
 
 
 def _outline(patch: _Patch) -> tuple[NDArray[np.int32], NDArray[np.int32], float]:

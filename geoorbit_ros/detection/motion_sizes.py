@@ -1,7 +1,8 @@
 """How large a car is at each place of the image, learnt from the vehicles themselves.
 
-Seen by a pinhole camera over flat ground, the height of an upright thing in pixels is linear in
-where it stands: it vanishes at the horizon. Its width over its height varies slowly over the image.
+Seen by a pinhole camera over flat ground, the height of an upright thing in pixels is linear in the
+row where it stands: it vanishes at the horizon, which is taken for level (traffic on one road can't
+tell a rolled camera from a near road). Its width over its height varies slowly over the image.
 """
 
 from __future__ import annotations
@@ -17,11 +18,13 @@ MIN_BOXES = 120
 TRIES = 150
 TOLERANCE = 0.2
 """Cars are this equal in height, as a natural logarithm; other vehicles and faults are not."""
-BANDS = 12
-"""Heights count equally all over the image: boxes are thinned to as many of each band of rows."""
+BANDS, MIN_BAND = 12, 12
+"""Rows of the image in so many bands count equally; one with fewer boxes counts less."""
 _MIN_SHARE = 0.3
 """Share of the boxes that must be cars for a fit to count."""
 MIN_HEIGHT_PX = 3.0
+_ROW = (0, 2)
+"""Terms of `_place` that heights depend on."""
 
 Box = tuple[int, int, int, int]
 """Left, top, right, bottom in pixels."""
@@ -37,7 +40,7 @@ class VehicleSizes:
     def __init__(self) -> None:
         self.known = False
         self._boxes: deque[tuple[float, float, float, float]] = deque(maxlen=MEMORY_BOXES)
-        self._height = np.zeros(3)
+        self._height = np.zeros(2)
         self._shape = np.zeros(4)
         self._random = np.random.default_rng(1)
         self._scale = 1.0
@@ -49,7 +52,7 @@ class VehicleSizes:
     def at(self, x: NDArray[np.float64], bottom: NDArray[np.float64]) -> NDArray[np.float64]:
         """(N, 2) width and height of a car whose box ends at row `bottom`, its middle at `x`."""
         place = self._place(x, bottom)
-        height = np.maximum(place[:, :3] @ self._height, MIN_HEIGHT_PX)
+        height = np.maximum(place[:, _ROW] @ self._height, MIN_HEIGHT_PX)
         shape = np.exp(np.clip(place @ self._shape, -1.0, 1.6))
         return np.column_stack([shape * height, height])
 
@@ -66,13 +69,12 @@ class VehicleSizes:
         self._scale = float(np.abs(boxes).max())
         x, bottom = 0.5 * (boxes[:, 0] + boxes[:, 2]), boxes[:, 3]
         size = boxes[:, 2:] - boxes[:, :2]
-        kept = self._thinned(bottom)
         place = self._place(x, bottom)
-        fit = self._line(place[kept, :3], size[kept, 1])
+        fit = self._line(place[:, _ROW], size[:, 1], self._weight(bottom))
         if fit is None:
             return
         self._height = fit
-        car = np.abs(np.log(size[:, 1] / np.maximum(place[:, :3] @ fit, 0.1))) < TOLERANCE
+        car = np.abs(np.log(size[:, 1] / np.maximum(place[:, _ROW] @ fit, 0.1))) < TOLERANCE
         ratio = np.log(size[car, 0] / size[car, 1])
         shape = np.array([float(np.median(ratio)), 0.0, 0.0, 0.0])
         for _ in range(5):  # least absolute deviations by reweighting
@@ -88,31 +90,35 @@ class VehicleSizes:
         u, v = x / self._scale, bottom / self._scale
         return np.column_stack([np.ones_like(u), u, v, u * v])
 
-    def _thinned(self, bottom: NDArray[np.float64]) -> NDArray[np.intp]:
-        band = np.digitize(bottom, np.linspace(bottom.min(), bottom.max() + 1.0, BANDS + 1))
-        most = max(len(bottom) // BANDS, 20)
-        chosen = [
-            self._random.permutation(np.flatnonzero(band == k))[:most] for k in range(1, BANDS + 1)
-        ]
-        return np.concatenate(chosen)
+    def _weight(self, bottom: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(N,) sum 1: bands of rows count equally, however many vehicles stand still in one."""
+        edges = np.linspace(bottom.min(), bottom.max() + 1.0, BANDS + 1)
+        band = np.digitize(bottom, edges) - 1
+        count = np.bincount(band, minlength=BANDS)
+        weight = 1.0 / np.maximum(count, MIN_BAND)[band]
+        return np.asarray(weight / weight.sum())
 
     def _line(
-        self, place: NDArray[np.float64], height: NDArray[np.float64]
+        self,
+        place: NDArray[np.float64],
+        height: NDArray[np.float64],
+        weight: NDArray[np.float64],
     ) -> NDArray[np.float64] | None:
-        """Heights as a linear function of place, by random samples (Fischler and Bolles 1981)."""
-        best = _MIN_SHARE * len(height)
+        """Heights as a linear function of the row, by random samples (Fischler and Bolles 1981)."""
+        best = _MIN_SHARE
         best_fit: NDArray[np.float64] | None = None
         for _ in range(TRIES):
-            three = self._random.choice(len(height), 3, replace=False)
-            if abs(np.linalg.det(place[three])) < 1e-6:
+            two = self._random.choice(len(height), 2, replace=False, p=weight)
+            if abs(np.linalg.det(place[two])) < 0.02:
                 continue
-            fit = np.linalg.solve(place[three], height[three])
-            if fit[2] <= 0.0:  # what stands lower in the image is nearer, hence larger
+            fit = np.linalg.solve(place[two], height[two])
+            if fit[1] <= 0.0:  # what stands lower in the image is nearer, hence larger
                 continue
             near = np.abs(np.log(height / np.maximum(place @ fit, 0.1))) < TOLERANCE
-            if np.count_nonzero(near) > best:
-                best = float(np.count_nonzero(near))
-                weight = 1.0 / height[near]
-                scaled = place[near] * weight[:, None]
-                best_fit = np.asarray(np.linalg.lstsq(scaled, height[near] * weight, rcond=None)[0])
+            share = float(weight[near].sum())
+            if share > best:
+                best = share
+                root = np.sqrt(weight[near]) / height[near]
+                scaled = place[near] * root[:, None]
+                best_fit = np.asarray(np.linalg.lstsq(scaled, height[near] * root, rcond=None)[0])
         return best_fit
