@@ -14,6 +14,7 @@ import numpy as np
 from geoorbit_ros.federated.traffic import Traffic
 from geoorbit_ros.learning.camera_task import load_task
 from geoorbit_ros.learning.evaluation import BASELINE, FEDMETA, META, CameraResult, ModelResult
+from geoorbit_ros.learning.fleet_cameras import teachers_and_judges
 from geoorbit_ros.learning.meta_learner import MetaLearner
 from geoorbit_ros.learning.model_file import load_model
 from geoorbit_ros.learning.study import Study
@@ -126,8 +127,8 @@ def recording_table(rows: Sequence[ModelResult], estimator: str) -> Table:
 
 def communication_table(study: Study, estimator: str) -> Table:
     """The paper's table of communication: what has to leave the cameras."""
-    seen = [camera for camera in study.cameras() if camera.split == "seen"]
-    tracks = sum(load_task(camera.path).tracks.rows.nbytes for camera in seen)
+    teachers, _ = teachers_and_judges(study.cameras())
+    tracks = sum(load_task(camera.path).tracks.rows.nbytes for camera in teachers)
     header = ("", "Baseline", META, FEDMETA)
     federated = study.models(estimator, "federated")
     if not federated:
@@ -141,7 +142,7 @@ def communication_table(study: Study, estimator: str) -> Table:
     kilo = [f"{value / 1e3:,.1f}" for value in (size, traffic.up_bytes, traffic.down_bytes, tracks)]
     body = [
         ["model, kB", "0", "0", kilo[0]],
-        ["clients", *[str(len(seen))] * 3],
+        ["clients", *[str(len(teachers))] * 2, str(traffic.up_messages // rounds)],
         ["rounds", "1", "1", str(rounds)],
         ["encoding", "–", "–", str(about["settings"]["encoding"])],
         ["updates up, kB", "0", "0", kilo[1]],
