@@ -1,5 +1,7 @@
 """Images in messages: the pixels that rclpy's own serialisation put there, or one sentence."""
 
+from typing import Any
+
 import cv2
 import numpy as np
 import pytest
@@ -23,7 +25,7 @@ def picture(height: int = 31, width: int = 47) -> NDArray[np.uint8]:
     return np.random.default_rng(1).integers(0, 256, (height, width, 3), dtype=np.uint8)
 
 
-def compressed(kind: str, array: NDArray[np.generic], frame_id: str = "a") -> bytes:
+def compressed(kind: str, array: NDArray[np.integer[Any]], frame_id: str = "a") -> bytes:
     _, data = cv2.imencode(f".{kind}", array)
     message = CompressedImage(header=header(frame_id), format=kind, data=data.tobytes())
     return bytes(serialize_message(message))
