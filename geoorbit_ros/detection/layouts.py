@@ -122,8 +122,11 @@ class GridLayout:
         min_score: float,
     ) -> Candidates:
         """See `Layout`."""
-        # No class scores above 1, so that objectness alone rules most cells out.
+        # No class scores above 1, so that objectness alone rules most cells out; a few columns then
+        # decide in which rows all classes are compared.
         near = np.flatnonzero(output[:, 4] > min_score)
+        vehicles = output[np.ix_(near, 5 + wanted)].max(axis=1, initial=0.0)
+        near = near[vehicles * output[near, 4] > min_score]
         scores = output[near, 5:] * output[near, 4:5]
         best = np.asarray(scores.argmax(axis=1), dtype=np.int64)
         score = scores[np.arange(len(near)), best]
