@@ -81,7 +81,7 @@ def find_ridges(profiles: Profiles, large: NDArray[np.bool_], parameters: LanePa
     found = trace(np.where(large, LARGE_WEIGHT, 1.0)[profiles.row])
     # Once more, without the vehicles that are between lanes: they blur what they cross.
     keeping = keeping_lane(profiles, found.ridges, found.directions)
-    if keeping.mean() < 1.0 - FEW_BETWEEN_LANES:
+    if keeping.size and keeping.mean() < 1.0 - FEW_BETWEEN_LANES:
         return trace(found.trust * keeping)
     return replace(found, trust=found.trust * keeping)
 

@@ -73,8 +73,10 @@ class Raster:
         at = profiles.d + np.multiply.outer(shift, drift_m)
         # Bin edges are tied to the data, not to the spine: a shifted spine gives shifted bins.
         margin = 3.0 * blur_m + 2.0 * BIN_M
-        low, high = float(at.min()) - margin, float(at.max()) + margin
-        self._offset_m = np.arange(low, high, BIN_M)
+        # Detections may be so patchy that no vehicle tells anything at any station.
+        low, high = (float(at.min()), float(at.max())) if at.size else (0.0, 0.0)
+        low -= margin
+        self._offset_m = np.arange(low, high + margin, BIN_M)
         bins = len(self._offset_m)
         at = (at - low) / BIN_M
         left = at.astype(np.int64)

@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from geoorbit_ros.lanes.candidates import find_candidates, find_ridges
 from geoorbit_ros.lanes.centerlines import Centerline
 from geoorbit_ros.lanes.junctions import hand_over
 from geoorbit_ros.lanes.lane_ends import straighten_ends
+from geoorbit_ros.lanes.parameters import LaneParameters
+from geoorbit_ros.lanes.profiles import Profiles
 from geoorbit_ros.lanes.ridges import MIN_SPACING_M, Ridge, separate
 from geoorbit_ros.lanes.widths import Spacing, lane_widths, neighbour_spacings
 
@@ -94,3 +97,17 @@ def test_only_lanes_side_by_side_are_neighbours() -> None:
     found = neighbour_spacings([*lines, apart], np.full(120, 5.0))
     assert [s.lanes for s in found] == [(0, 1), (1, 2)]
     assert [s.value_m for s in found] == pytest.approx([3.5, 3.5])
+
+
+@pytest.mark.filterwarnings("error")
+def test_stations_at_which_no_vehicle_was_seen_have_no_lanes() -> None:
+    """Detections so patchy that no vehicle has two nodes near any station of its corridor."""
+    none, nothing = np.empty(0, np.int64), np.empty(0)
+    along, owner = 5.0 * np.arange(STATIONS), np.zeros(STATIONS, np.int64)
+    step, scale = np.full(STATIONS, 5.0), np.full(STATIONS, 20.0)
+    profiles = Profiles(
+        owner, along, step, scale, none, nothing, nothing, none, none, nothing, nothing
+    )
+    traced = find_ridges(profiles, np.empty(0, bool), LaneParameters())
+    assert traced.density.value.sum() == 0.0
+    assert find_candidates(profiles, traced) == []
