@@ -135,9 +135,8 @@ class BagPlayerNode(GeoOrbitNode[BagPlayerParameters]):
 
     def close(self) -> None:
         """Give reliable subscribers time to take the last messages."""
-        if self.finished and not all(
-            publisher.wait_for_all_acked(ACKNOWLEDGE_TIMEOUT) for publisher in self.topics.values()
-        ):
+        topics = self.topics.values() if self.finished and self.context.ok() else ()
+        if not all(topic.wait_for_all_acked(ACKNOWLEDGE_TIMEOUT) for topic in topics):
             self.get_logger().warning("the last messages were not acknowledged within 10 s")
 
 

@@ -109,7 +109,9 @@ class CameraNode(GeoOrbitNode[CameraParameters]):
         """End both threads; one that is inside a system call ends with it."""
         self._feed.stop()
         self._sender.stop()
-        if self.finished and not self.images.wait_for_all_acked(ACKNOWLEDGE_TIMEOUT):
+        if not self.finished or not self.context.ok():  # told to end: nobody can be waited for
+            return
+        if not self.images.wait_for_all_acked(ACKNOWLEDGE_TIMEOUT):
             self.get_logger().warning("the last images were not acknowledged within 5 s")
 
     def _silent(self) -> str | None:

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import rclpy
@@ -18,7 +19,11 @@ from rclpy.context import Context
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 
+from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE, Frames, frames_from_rows
+from geoorbit_ros.scenes.network import write_network
+from geoorbit_ros.scenes.roads import place_roads
+from geoorbit_ros.scenes.scene import load_scene
 from geoorbit_ros.storage.bag import write_track_bag
 
 pytestmark = pytest.mark.slow
@@ -160,9 +165,19 @@ def node_parameters(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[
     folder = tmp_path_factory.mktemp("input")
     (folder / "calibration.csv").write_text(CONTROL_POINTS)
     write_track_bag(folder / "bag", "pole", two_frames())
+    (folder / "images").mkdir()
+    cv2.imwrite(str(folder / "images" / "0.png"), np.zeros((48, 64, 3), np.uint8))
+    (folder / "roster.txt").write_text("pole\n")
+    scene = load_scene("s_curve")
+    place = Datum(scene.place.latitude_deg, scene.place.longitude_deg)
+    network = write_network(place_roads(scene), folder, place)
     return {
         "bag_player": {"bag": f"{folder}/bag", "start_paused": "true", "wait_timeout_s": "0.0"},
+        "camera": {"source": f"{folder}/images", "fps": "1.0", "exit_when_done": "false"},
+        "federated_server": {"roster": f"{folder}/roster.txt"},
         "homography": {"calibration_file": f"{folder}/calibration.csv"},
+        "sumo_bridge": {"network": str(network), "cameras": "pole"},
+        "viewer": {"port": "0"},
         "recorder": {"database": f"{folder}/tracks.db", "camera_id": "pole"},
     }
 
