@@ -16,8 +16,9 @@ if TYPE_CHECKING:
     from geoorbit_ros.nodes.composition import Composition
     from geoorbit_ros.nodes.status_listener import StatusListener
 
-LISTEN_S = 3.0
-"""`--once` listens this long: discovery takes two seconds, every node speaks once a second."""
+SETTLE_S, LISTEN_S = 3.0, 6.0
+"""`--once` listens at least and, while something isn't healthy, at most this long: discovery takes two
+seconds, every node speaks once a second."""
 REDRAW_S = 0.5
 
 
@@ -58,7 +59,7 @@ def status(
         listener = nodes.add(StatusListener(nodes.context))
         if once:
             deadline = time.monotonic() + max(wait_s, LISTEN_S)
-            settled = time.monotonic() + LISTEN_S
+            settled = time.monotonic() + SETTLE_S
             while time.monotonic() < deadline:
                 nodes.spin()
                 found = rows(listener.reports(), expected)
