@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from geoorbit_ros.nodes.status_listener import StatusListener
 
 SETTLE_S, LISTEN_S = 3.0, 6.0
-"""`--once` listens at least and, while something isn't healthy, at most this long: discovery takes two
-seconds, every node speaks once a second."""
+"""`--once` listens at least and, while something isn't healthy, at most this long: discovery takes
+two seconds, every node speaks once a second."""
 REDRAW_S = 0.5
 
 
