@@ -103,7 +103,7 @@ def test_only_lanes_side_by_side_are_neighbours() -> None:
 def test_stations_at_which_no_vehicle_was_seen_have_no_lanes() -> None:
     """Detections so patchy that no vehicle has two nodes near any station of its corridor."""
     none, nothing = np.empty(0, np.int64), np.empty(0)
-    along, owner = 5.0 * np.arange(STATIONS), np.zeros(STATIONS, np.int64)
+    along, owner = np.arange(STATIONS, dtype=np.float64) * 5, np.zeros(STATIONS, np.int64)
     step, scale = np.full(STATIONS, 5.0), np.full(STATIONS, 20.0)
     profiles = Profiles(
         owner, along, step, scale, none, nothing, nothing, none, none, nothing, nothing
