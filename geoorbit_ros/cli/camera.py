@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(help="Set up cameras of a fleet.", no_args_is_help=True)
 
-PICTURE, LANES, REPORT = "calibration.png", "lanes.geojson", "report.html"
+PICTURE, TRACKS, LANES, REPORT = "calibration.png", "tracks.csv", "lanes.geojson", "report.html"
 
 
 @app.command("add")
@@ -57,7 +57,7 @@ def add(
     from geoorbit_ros.cli.report import describe_method, save_report
     from geoorbit_ros.cli.tables import print_lanes
     from geoorbit_ros.detection.factory import make_detector
-    from geoorbit_ros.fleet.fleet_entry import add_camera, relative
+    from geoorbit_ros.fleet.fleet_entry import add_camera, check_new_camera, relative
     from geoorbit_ros.lanes.factory import make_estimator
     from geoorbit_ros.lanes.geojson import write_lanes
     from geoorbit_ros.lanes.pipeline import map_lanes
@@ -65,8 +65,10 @@ def add(
     from geoorbit_ros.report.recording import Recording
     from geoorbit_ros.scenes.output import check_new_folder
     from geoorbit_ros.storage.atomic import atomic_output
+    from geoorbit_ros.storage.track_csv import write_track_csv
 
     check_new_folder(out)
+    check_new_camera(fleet, camera_id)
     homography, origin = load_calibration(calibration, None)
     with status("loading"):
         detector = make_detector(model)
@@ -83,8 +85,10 @@ def add(
         ground = run.ground_tracks(shown_images(images, duration), None, fps)
         lane_map = map_lanes(recording.tee(ground), mapper, images.name)
         write_lanes(folder / LANES, lane_map, origin, camera_id=camera_id, estimator=estimator)
+        frames = run.track_frames()
+        write_track_csv(folder / TRACKS, frames)
         camera = CameraInput(
-            camera_id, Path(source), calibration, run.track_frames(), homography, origin, size
+            camera_id, folder / TRACKS, calibration, frames, homography, origin, size
         )
         method = f"{detector.name}; {describe_method(estimator, period_s)}"
         save_report(folder / REPORT, camera, lane_map, recording, method)

@@ -27,17 +27,24 @@ def add_camera(file: Path, entry: Mapping[str, object], fleet_name: str = "fleet
         InputFileError: The file is no fleet file, already has this camera, or would be wrong with
             it; then it is left as it was.
     """
+    check_new_camera(file, str(entry["id"]))
     if file.exists():
-        fleet, _ = load_fleet(file)
-        if entry["id"] in [camera.id for camera in fleet.cameras]:
-            found = f"camera '{entry['id']}'"
-            raise InputFileError(str(file), f"{found} is there already", "another id")
         text = _inserted(file.read_text(encoding="utf-8").rstrip("\n") + "\n", entry)
     else:
         text = f"name: {fleet_name}\ncameras:\n{_item(entry, '  ')}"
     with atomic_output(file) as path:
         path.write_text(text, encoding="utf-8")
         return load_fleet(path)[0]
+
+
+def check_new_camera(file: Path, camera_id: str) -> None:
+    """Refuse a camera that a fleet file has already; a file that isn't there has none.
+
+    Raises:
+        InputFileError: It has, or is no fleet file.
+    """
+    if file.exists() and camera_id in [camera.id for camera in load_fleet(file)[0].cameras]:
+        raise InputFileError(str(file), f"camera '{camera_id}' is there already", "another id")
 
 
 def relative(path: Path, file: Path) -> str:

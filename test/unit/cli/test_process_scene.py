@@ -11,6 +11,7 @@ import pytest
 
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.cli.main import main
+from geoorbit_ros.fleet.fleet_file import load_fleet
 from geoorbit_ros.lanes.geojson import read_lane_file, read_lanes
 from geoorbit_ros.metrics.score import score_lanes
 from geoorbit_ros.scenes.render.output import write_rendered_scene
@@ -84,3 +85,23 @@ def test_boxes_tracks_and_video_belong_to_the_same_images(processed: Processed) 
     assert not video.read()[0]
     assert drawn > 1000, "boxes, trails and lanes"
     assert "<svg" in (processed.out / "report.html").read_text()
+
+
+def test_a_camera_is_checked_and_added_to_a_fleet(processed: Processed, tmp_path: Path) -> None:
+    fleet, out = tmp_path / "road.yaml", tmp_path / "check"
+    film, calibration = processed.film / "video.mp4", processed.film / "calibration.csv"
+    words = ["camera", "add", str(film), "--calibration", str(calibration), "--camera-id", "north"]
+    words += ["--fleet", str(fleet), "--out", str(out), "--duration", "12"]
+    assert main(words) == 0
+    camera = load_fleet(fleet)[0].cameras[0]
+    assert (camera.id, camera.image_size) == ("north", SIZE)
+    assert camera.calibration is not None
+    assert (tmp_path / camera.calibration).resolve() == calibration.resolve()
+    assert (tmp_path / camera.source).resolve() == film.resolve()
+    picture = cv2.imread(str(out / "calibration.png"))
+    assert picture is not None and picture.shape == (SIZE[1], SIZE[0], 3)
+    assert {path.name for path in out.iterdir()} == {
+        *("calibration.png", "tracks.csv", "lanes.geojson", "report.html")
+    }
+    again = [*words[:-3], str(tmp_path / "twice"), *words[-2:]]
+    assert main(again) == 2, "a camera of this name is there"
