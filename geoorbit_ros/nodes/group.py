@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import inspect
 import os
-import signal
 import sys
 import time
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import rclpy
-from rclpy.executors import ExternalShutdownException
-
-from geoorbit_ros.core.errors import GeoOrbitError, ParameterError
+from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.fleet.plan import NodePlan, ProcessPlan
 from geoorbit_ros.fleet.supervisor import HEARTBEAT_PERIOD_S
 from geoorbit_ros.nodes.base import GeoOrbitNode
-from geoorbit_ros.nodes.process import SIGNALS, SPIN_TIMEOUT_S, make_executor
+from geoorbit_ros.nodes.process import run_nodes
 
 
 class Heartbeat:
@@ -67,34 +64,8 @@ def run_group(plan: ProcessPlan, heartbeat: Heartbeat) -> int:
     Returns:
         Exit status: 0 when told to end, 2 with one sentence when a node can't start.
     """
-    told: list[int] = []
-    for number in SIGNALS:
-        signal.signal(number, lambda received, _: told.append(received))
-    nodes: list[GeoOrbitNode[Any]] = []
-    try:
-        rclpy.init(args=[])
-        executor = make_executor()
-        for node in plan.nodes:
-            nodes.append(_make(node))
-            executor.add_node(nodes[-1])
-        while rclpy.ok() and not told and heartbeat.beat():
-            executor.spin_once(timeout_sec=SPIN_TIMEOUT_S)
-    except ExternalShutdownException:
-        pass
-    except GeoOrbitError as error:
-        print(error, file=sys.stderr)
-        return 2
-    except Exception:
-        if not told:  # told to end while a node was being made, its context may be gone
-            raise
-    finally:
-        for made in reversed(nodes):
-            made.close()
-            made.destroy_node()
-        rclpy.try_shutdown()
-        for number in SIGNALS:
-            signal.signal(number, signal.SIG_IGN)
-    return 0
+    makers = [partial(_make, node) for node in plan.nodes]
+    return run_nodes(makers, lambda _: heartbeat.beat(), [])
 
 
 def _make(plan: NodePlan) -> GeoOrbitNode[Any]:

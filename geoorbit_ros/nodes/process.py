@@ -40,7 +40,16 @@ def run_node(make: Callable[[], GeoOrbitNode[Any]], args: Sequence[str] | None =
         Exit status: 0 when done or after SIGINT or SIGTERM, 2 with one sentence on standard error
         when something the user gave can't be used.
     """
-    node = None
+    return run_nodes([make], lambda nodes: not nodes[0].done, args)
+
+
+def run_nodes(
+    makers: Sequence[Callable[[], GeoOrbitNode[Any]]],
+    goes_on: Callable[[Sequence[GeoOrbitNode[Any]]], bool],
+    args: Sequence[str] | None = None,
+) -> int:
+    """As `run_node`, for several nodes on one executor, while `goes_on` says so of them."""
+    nodes: list[GeoOrbitNode[Any]] = []
     told_to_end: list[int] = []
     for number in SIGNALS:
         # rclpy's handler ends the context, then calls this one. Python's own would raise
@@ -49,22 +58,24 @@ def run_node(make: Callable[[], GeoOrbitNode[Any]], args: Sequence[str] | None =
         signal.signal(number, lambda received, _: told_to_end.append(received))
     try:
         rclpy.init(args=None if args is None else list(args))
-        node = make()
         executor = make_executor()
-        executor.add_node(node)
-        while rclpy.ok() and not node.done:
+        for make in makers:
+            nodes.append(make())
+            executor.add_node(nodes[-1])
+        while rclpy.ok() and not told_to_end and goes_on(nodes):
             executor.spin_once(timeout_sec=SPIN_TIMEOUT_S)
     except ExternalShutdownException:
         pass
     except GeoOrbitError as error:
         print(error, file=sys.stderr)
         return 2
-    except Exception:
-        # Told to end while the node was being made, its context is gone and anything may fail.
+    except Exception as error:
+        # Told to end while a node was being made, its context is gone and anything may fail.
         if not told_to_end:
             raise
+        print(f"ended while starting ({type(error).__name__}: {error})", file=sys.stderr)
     finally:
-        if node is not None:
+        for node in reversed(nodes):
             node.close()
             node.destroy_node()
         rclpy.try_shutdown()
