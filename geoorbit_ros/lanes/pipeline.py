@@ -14,6 +14,7 @@ from geoorbit_ros.calibration.ground import GroundProjector
 from geoorbit_ros.core.errors import NoTrafficError
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.core.tables import Frames
+from geoorbit_ros.core.vehicle_classes import VEHICLE_CLASS_TEXT, VEHICLE_CLASSES
 from geoorbit_ros.lanes.mapper import LaneMapper
 
 StampedRows = tuple[int, NDArray[np.void]]
@@ -45,16 +46,20 @@ def map_lanes(tracks: Iterable[StampedRows], mapper: LaneMapper, place: str = "t
     Raises:
         NoTrafficError: No lane, not even a tentative one, can be seen in the tracks.
     """
-    frame_count, ids = 0, set[int]()
+    frame_count, ids, classes = 0, set[int](), set[int]()
     for stamp_ns, rows in tracks:
         mapper.add(stamp_ns, rows)
         frame_count += 1
         ids.update(rows["track_id"].tolist())
+        classes.update(rows["class_id"].tolist())
     if not ids:
         found = f"{frame_count} frames without a vehicle on the road"
         raise NoTrafficError(place, found, "vehicles driving by")
     lane_map = mapper.finish()
     if not lane_map.lanes:
         found = f"{len(ids)} tracks in {frame_count} frames, none driving along a lane"
+        if classes.isdisjoint(VEHICLE_CLASSES):
+            found = f"{len(ids)} tracks of class {', '.join(map(str, sorted(classes)))} only"
+            raise NoTrafficError(place, found, f"vehicles: {VEHICLE_CLASS_TEXT}")
         raise NoTrafficError(place, found, "vehicles driving by")
     return lane_map

@@ -9,12 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.tables import FLAG_PREDICTED, FLAG_TRUNCATED, TRACK_DTYPE
+from geoorbit_ros.core.vehicle_classes import LARGE_CLASSES, VEHICLE_CLASSES
 
 MIN_SIGMA_M = 0.02
-VEHICLE_CLASSES = (2, 3, 5, 7)
-"""COCO car, motorcycle, bus and truck. People and bicycles have paths that are no lanes."""
-LARGE_CLASSES = (5, 7)
-"""COCO bus and truck."""
 
 
 @dataclass(frozen=True, slots=True)

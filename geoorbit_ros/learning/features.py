@@ -18,11 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.tables import FLAG_PREDICTED, FLAG_TRUNCATED, Frames
+from geoorbit_ros.core.vehicle_classes import LARGE_CLASSES
 
 Array = NDArray[np.float64]
 
-LARGE_CLASSES = (5, 7)
-"""COCO classes bus and truck."""
 MIN_TRAVEL_M = 8.0
 """Tracks that move less are parked, trembling, or seen too shortly to have a direction."""
 CLIP = 3.0

@@ -115,6 +115,11 @@ TRACKS: list[tuple[str, Callable[[list[str]], list[str]], tuple[str, ...]]] = [
     ("text", lambda x: [*x[:3], x[3].replace(",0.9,", ",sure,"), *x[4:]], ("line 4", "sure")),
     ("no rows", lambda x: x[:1], ("broken.csv",)),
     ("back in time", lambda x: [x[0], *x[-20:], *x[1:50]], ("broken.csv", "line")),
+    (
+        "people",
+        lambda x: [x[0], *(",".join((*r.split(",")[:3], "0", *r.split(",")[4:])) for r in x[1:])],
+        ("of class 0 only", "2 (car)"),
+    ),
 ]
 POINTS: list[tuple[str, Callable[[list[str]], list[str]], tuple[str, ...]]] = [
     ("three points", lambda x: x[:4], ("3 control points", "at least 4")),

@@ -9,6 +9,7 @@ from traffic import Stream, straight, traffic
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.core.tables import Frames
+from geoorbit_ros.core.vehicle_classes import UNKNOWN_CLASS
 from geoorbit_ros.lanes.curvilinear import CurvilinearEstimator
 from geoorbit_ros.lanes.evidence import Evidence
 from geoorbit_ros.lanes.factory import make_estimator
@@ -31,6 +32,15 @@ def test_one_map_per_period_of_data_time() -> None:
     span_s = (frames.stamp_ns[-1] - frames.stamp_ns[0]) * 1e-9
     assert len(stamps) == int(span_s // 10.0)
     assert np.all(np.diff(stamps) > 0)
+
+
+def test_tracks_of_unknown_class_are_vehicles() -> None:
+    frames = traffic([Stream(straight(), 12)], duration_s=60.0)
+    known = maps_of(frames)[-1]
+    frames.rows["class_id"] = UNKNOWN_CLASS
+    unknown = maps_of(frames)[-1]
+    assert len(known.lanes) == len(unknown.lanes) == 1
+    assert np.array_equal(known.lanes[0].centerline_m, unknown.lanes[0].centerline_m)
 
 
 def test_lanes_keep_their_ids_while_others_appear() -> None:
