@@ -34,17 +34,12 @@ class Letterbox:
     canvas_size: tuple[int, int]
     gain: float
 
-    def paint(self, image: Image) -> Image:
-        """The canvas (H, W, 3) with `image`, whose size is `image_size`, in it."""
-        if self.scaled_size != self.image_size:
-            scaled = cv2.resize(image, self.scaled_size, interpolation=cv2.INTER_LINEAR)
-            image = np.asarray(scaled, dtype=np.uint8)
-        if self.scaled_size == self.canvas_size:
+    def scaled(self, image: Image) -> Image:
+        """`image`, whose size is `image_size`, at its size in the canvas."""
+        if self.scaled_size == self.image_size:
             return image
-        left, top = self.offset
-        canvas = np.full((self.canvas_size[1], self.canvas_size[0], 3), GREY, dtype=np.uint8)
-        canvas[top : top + self.scaled_size[1], left : left + self.scaled_size[0]] = image
-        return canvas
+        smaller = cv2.resize(image, self.scaled_size, interpolation=cv2.INTER_LINEAR)
+        return np.asarray(smaller, dtype=np.uint8)
 
     def to_image(self, boxes: NDArray[np.floating]) -> NDArray[np.float64]:
         """Boxes (N, 4) left, top, right, bottom from canvas pixels to image pixels."""
@@ -81,8 +76,3 @@ def cornered(image_size: tuple[int, int], canvas: tuple[int, int]) -> Letterbox:
     gain = min(canvas[0] / width, canvas[1] / height)
     scaled = (max(int(width * gain), 1), max(int(height * gain), 1))
     return Letterbox(image_size, scaled, (0, 0), canvas, gain)
-
-
-def to_tensor(canvas: Image, *, scale: float, swap: bool) -> NDArray[np.float32]:
-    """(1, 3, H, W) float32 of a canvas, times `scale`; `swap` turns BGR into RGB."""
-    return np.asarray(cv2.dnn.blobFromImage(canvas, scale, swapRB=swap), dtype=np.float32)

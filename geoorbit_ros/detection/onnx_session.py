@@ -35,6 +35,7 @@ class OnnxSession:
     Attributes:
         place: Its file, for errors.
         session: The onnxruntime session.
+        input_name: Of its only input.
         metadata: What the file says about itself.
         canvas: Width and height of its input, at most where `metadata.dynamic`.
         batch: Images per run; 0 when any number is taken.
@@ -43,24 +44,20 @@ class OnnxSession:
 
     place: str
     session: onnxruntime.InferenceSession
+    input_name: str
     metadata: OnnxMetadata
     canvas: tuple[int, int]
     batch: int
     dtype: type[np.floating]
 
-    def run(self, tensor: NDArray[np.float32]) -> list[NDArray[np.float32]]:
-        """All outputs as float32 for (B, 3, H, W); a fixed batch is filled up with zeros.
+    def run(self, tensor: NDArray[np.floating]) -> list[NDArray[np.float32]]:
+        """All outputs as float32 for a tensor (B, 3, H, W) of `dtype`.
 
         Raises:
             ModelError: The model fails on it.
         """
-        given = len(tensor)
-        if self.batch > given:
-            rest = np.zeros((self.batch - given, *tensor.shape[1:]), dtype=tensor.dtype)
-            tensor = np.concatenate([tensor, rest])
-        feed = {self.session.get_inputs()[0].name: tensor.astype(self.dtype, copy=False)}
         try:
-            outputs = self.session.run(None, feed)
+            outputs = self.session.run(None, {self.input_name: tensor})
         except Exception as error:  # onnxruntime's classes share no other base
             found = f"a failure on an input of {'x'.join(map(str, tensor.shape))}: {_first(error)}"
             raise ModelError(self.place, found, "a model that runs on its own input") from None
@@ -107,7 +104,8 @@ def load_session(path: Path, providers: Sequence[str] = (), threads: int = 0) ->
     said = metadata.canvas or (_DEFAULT_SIDE, _DEFAULT_SIDE)
     height, width = (n if isinstance(n, int) else said[1 - k] for k, n in enumerate(shape[2:]))
     batch = shape[0] if isinstance(shape[0], int) else 0
-    return OnnxSession(place, session, metadata, (width, height), batch, _FLOATS[kind])
+    name = inputs[0].name
+    return OnnxSession(place, session, name, metadata, (width, height), batch, _FLOATS[kind])
 
 
 def _usable(wanted: Sequence[str], place: str) -> list[str]:

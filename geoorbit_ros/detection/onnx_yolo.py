@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from geoorbit_ros.detection.detector import as_bgr, detection_rows
 from geoorbit_ros.detection.layout_choice import choose_layout
 from geoorbit_ros.detection.layouts import Candidates, GridLayout
-from geoorbit_ros.detection.letterbox import GREY, Letterbox, centred, cornered, to_tensor
+from geoorbit_ros.detection.letterbox import GREY, Letterbox, centred, cornered
+from geoorbit_ros.detection.model_input import ModelInput
 from geoorbit_ros.detection.onnx_session import load_session
 from geoorbit_ros.detection.suppression import suppress
 from geoorbit_ros.detection.vehicle_classes import vehicle_classes
@@ -62,8 +63,8 @@ class OnnxYolo:
         self._model = load_session(path, self.options.providers, self.options.threads)
         place, canvas = self._model.place, self._model.canvas
         # The first run also shows the shapes that a dynamic export leaves open, and warms up.
-        grey = np.full((canvas[1], canvas[0], 3), GREY, dtype=np.uint8)
-        outputs = self._model.run(to_tensor(grey, scale=1.0 / 255.0, swap=True))
+        grey = np.full((1, 3, canvas[1], canvas[0]), GREY / 255.0, dtype=self._model.dtype)
+        outputs = self._model.run(grey.repeat(self._model.batch or 1, axis=0))
         given: Mapping[int, str] = dict(enumerate(self.options.class_names))
         self._layout, self.names, count = choose_layout(
             outputs, canvas, self._model.metadata, given, place
@@ -71,6 +72,10 @@ class OnnxYolo:
         self._coco = vehicle_classes(self.names, count, place)
         self._wanted = np.flatnonzero(self._coco >= 0)
         self._yolox = isinstance(self._layout, GridLayout)
+        scale = 1.0 if self._yolox else 1.0 / 255.0
+        self._input = ModelInput(
+            self._model.dtype, self._model.batch, scale=scale, swap=not self._yolox
+        )
 
     @property
     def name(self) -> str:
@@ -92,29 +97,22 @@ class OnnxYolo:
             ImageError: An image that `Detector.detect` would refuse.
             ModelError: The model fails.
         """
-        prepared = [self._prepare(image) for image in images]
-        same = len({tensor.shape for _, tensor in prepared}) == 1
-        most = (self._model.batch or len(prepared)) if same else 1
+        pixels = [as_bgr(image) for image in images]
+        boxes = [self._letterbox((each.shape[1], each.shape[0])) for each in pixels]
+        same = len({box.canvas_size for box in boxes}) == 1
+        most = (self._model.batch or len(boxes)) if same else 1
         rows: list[NDArray[np.void]] = []
-        for start in range(0, len(prepared), max(most, 1)):
-            part = prepared[start : start + max(most, 1)]
-            tensors = [tensor for _, tensor in part]
-            fed = tensors[0] if len(part) == 1 else np.concatenate(tensors)
-            (outputs,) = self._model.run(fed)
-            rows += [
-                self._read(box, output) for (box, _), output in zip(part, outputs, strict=False)
-            ]
+        for start in range(0, len(boxes), max(most, 1)):
+            part = slice(start, start + max(most, 1))
+            (outputs,) = self._model.run(self._input.filled(boxes[part], pixels[part]))
+            rows += map(self._read, boxes[part], outputs)
         return rows
 
-    def _prepare(self, image: NDArray[np.generic]) -> tuple[Letterbox, NDArray[np.float32]]:
-        pixels = as_bgr(image)
-        size, canvas = (pixels.shape[1], pixels.shape[0]), self._model.canvas
+    def _letterbox(self, size: tuple[int, int]) -> Letterbox:
+        canvas, metadata = self._model.canvas, self._model.metadata
         if self._yolox:
-            box = cornered(size, canvas)
-            return box, to_tensor(box.paint(pixels), scale=1.0, swap=False)
-        metadata = self._model.metadata
-        box = centred(size, canvas, metadata.stride if metadata.dynamic else 0)
-        return box, to_tensor(box.paint(pixels), scale=1.0 / 255.0, swap=True)
+            return cornered(size, canvas)
+        return centred(size, canvas, metadata.stride if metadata.dynamic else 0)
 
     def _read(self, box: Letterbox, output: NDArray[np.float32]) -> NDArray[np.void]:
         options = self.options

@@ -124,9 +124,8 @@ def test_a_dynamic_export_gets_the_smallest_canvas(tmp_path: Path) -> None:
     said = metadata(args={"dynamic": True}, end2end=True, names={0: "car"})
     model = red_finder(tmp_path / "m.onnx", "nms_free", CANVAS, 300, said, dynamic=True)
     detector = OnnxYolo(model)
-    box, tensor = detector._prepare(np.zeros((180, 320, 3), np.uint8))
-    assert tensor.shape == (1, 3, 192, 320)
-    assert (box.offset, box.gain) == ((0, 6), 1.0)
+    box = detector._letterbox((320, 180))
+    assert (box.canvas_size, box.offset, box.gain) == ((320, 192), (0, 6), 1.0)
     images = [np.zeros((180, 320, 3), np.uint8) for _ in range(3)]
     for k, image in enumerate(images):
         image[20:60, 40 * k : 40 * k + 80] = (0, 0, 255)
