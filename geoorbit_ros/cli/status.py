@@ -144,10 +144,9 @@ def _tables(cameras: Sequence[Row], services: Sequence[Row]) -> RenderableType:
         table.add_row(_mark(row), row.name, str(row.nodes), *values)
     parts: list[RenderableType] = [table] if cameras else []
     if services:
-        other = make_table("Services", " |node|values")
+        other = make_table("Services", " |node|")
         for row in services:
-            values = [f"{key} {value}" for key, value in row.values.items() if value]
-            other.add_row(_mark(row), row.name, ", ".join(values))
+            other.add_row(_mark(row), row.name, row.words)
         other.columns[-1].no_wrap, other.columns[-1].overflow = False, "fold"
         parts.append(other)
     for row in [*cameras, *services]:

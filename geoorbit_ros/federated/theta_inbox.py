@@ -19,11 +19,16 @@ class ThetaInbox:
     Args:
         camera_id: The camera they must be for.
         verifier: Checks their signatures.
+
+    Attributes:
+        taken: How many have been taken.
+        version: Where theta is from, in words for people; whoever sets it otherwise says so here.
     """
 
     def __init__(self, camera_id: str, verifier: Verifier) -> None:
         self._camera_id, self._verifier = camera_id, verifier
         self._newest = (0, 0)
+        self.taken, self.version = 0, "own"
 
     def take(self, payload: bytes, current: LaneParameters) -> LaneParameters:
         """Theta from now on: `current` with the values that the payload names.
@@ -55,4 +60,12 @@ class ThetaInbox:
                 Refusal.OUT_OF_RANGE, error.place, error.found, error.expected
             ) from None
         self._newest = of
+        self.taken += 1
+        self.version = _origin(theta)
         return changed
+
+
+def _origin(theta: ThetaPayload) -> str:
+    if theta.run:
+        return f"round {theta.round}"
+    return "a model" if theta.model else "by hand"

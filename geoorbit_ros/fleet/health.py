@@ -65,23 +65,34 @@ COLUMNS = (
         "fps",
         (("homography", "rate_hz"), ("tracker", "rate_hz"), ("camera", "rate_hz")),
     ),
-    Column(
-        "latency_ms",
-        "p99 ms",
-        (("homography", "age_ms_p99"), ("homography", "latency_ms_p99")),
-    ),
+    Column("latency_ms", "p99 ms", (("homography", "age_ms_p99"), ("tracker", "age_ms_p99"))),
+    Column("lanes_latency_ms", "", (("lane_geometry", "age_ms_p99"),)),
     Column("lost", "lost", tuple((n, key) for n in _DATA_PATH for key in _LOSSES), summed=True),
     *(Column(key, "", tuple((n, key) for n in _DATA_PATH), summed=True) for key in _LOSSES),
-    Column("vehicles", "vehicles", (("homography", "vehicles"), ("tracker", "tracks"))),
+    Column("vehicles", "vehicles", (("homography", "vehicles"), ("tracker", "tracks_alive"))),
     Column("lanes_confirmed", "lanes", (("lane_geometry", "lanes_confirmed"),)),
     Column("lanes_tentative", "tent.", (("lane_geometry", "lanes_tentative"),)),
-    Column(
-        "parameters",
-        "θ",
-        (("lane_geometry", "parameter_version"), ("meta_client", "parameter_version")),
-    ),
+    Column("parameters", "θ", (("lane_geometry", "parameter_version"),)),
     Column("round", "round", (("meta_client", "round"),)),
 )
+
+SERVICE_COLUMNS: Mapping[str, tuple[tuple[str, str], ...]] = {
+    "federated_server": (
+        ("round {}", "round"),
+        ("of {}", "rounds"),
+        ("{} asked", "selected"),
+        ("{} answered", "collected"),
+        ("loss {}", "loss"),
+    ),
+    "sumo_bridge": (
+        ("{} vehicles", "vehicles"),
+        ("error {} m (95 %)", "error_m_p95"),
+        ("in another lane {}", "other_lane_share"),
+        ("latency {} ms (99 %)", "latency_ms_p99"),
+    ),
+    "viewer": (("port {}", "port"), ("{} topics offered", "topics"), ("{} looked at", "read")),
+}
+"""What people want to know of a service, as words with the value at `{}`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +112,14 @@ class Row:
     nodes: int
     problems: tuple[str, ...]
     values: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def words(self) -> str:
+        """A service's values as a sentence for people; all of them for one that isn't known."""
+        columns = SERVICE_COLUMNS.get(self.name, [(f"{key} {{}}", key) for key in self.values])
+        return ", ".join(
+            text.format(self.values[key]) for text, key in columns if self.values.get(key)
+        )
 
 
 def rows(

@@ -70,7 +70,7 @@ class CameraNode(GeoOrbitNode[CameraParameters]):
         self.finished = self._started = False
         options = SourceOptions(
             fps=p.fps or None,
-            start_ns=round(1e9 * p.start_time_s) or time.time_ns(),
+            start_ns=round(1e9 * p.start_time_s),
             open_timeout_s=p.open_timeout_s,
             stall_timeout_s=p.stall_timeout_s,
             give_up_s=None,
@@ -79,9 +79,11 @@ class CameraNode(GeoOrbitNode[CameraParameters]):
             on_bad_frame=self.diagnostics.refuse,
         )
         self._source = open_frame_source(p.source, options, SCENES)
+        clock_ns = None if p.start_time_s else options.clock_ns
         self._feed = FrameFeed(
-            self._source, rate=p.rate, loop=p.loop, max_fps=p.max_fps, depth=p.buffer_frames
+            self._source, rate=p.rate, loop=p.loop, depth=p.buffer_frames, clock_ns=clock_ns
         )
+        self.on_parameters(p)
         qos = stream_qos(p.reliability, p.queue_depth)
         self.images = self.create_publisher(CompressedImage, "image/compressed", qos)
         frame_id = p.frame_id or f"{self.camera_id or 'camera'}_optical_frame"
@@ -116,9 +118,8 @@ class CameraNode(GeoOrbitNode[CameraParameters]):
 
     def _silent(self) -> str | None:
         silent_s = self._sender.silent_s
-        if self.finished or silent_s < SILENT_S:
-            return None
-        return f"{self._source.name}: no frame for {silent_s:.0f} s"
+        fault = f"{self._source.name}: no frame for {silent_s:.0f} s"
+        return None if self.finished or silent_s < SILENT_S else fault
 
     def _watch(self) -> None:
         if not self._started:

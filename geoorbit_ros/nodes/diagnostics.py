@@ -13,6 +13,8 @@ from rclpy.node import Node
 PERIOD_S = 1.0
 LOG_PERIOD_S = 10.0
 """A reason that persists is logged this often."""
+OLD_S = 600.0
+"""Stamps older than this are a recording's own, not the present: they have no age."""
 
 
 class Diagnostics:
@@ -37,6 +39,7 @@ class Diagnostics:
         self._node = node
         self._details = details
         self._latency_s: list[float] = []
+        self._age_s: list[float] = []
         self.last_refusal: Exception | None = None
         self._logged_s: dict[str, float] = {}
         self._checks: list[Callable[[], str | None]] = []
@@ -50,6 +53,12 @@ class Diagnostics:
         """Count one message that was handled in `latency_s`."""
         self.received += 1
         self._latency_s.append(latency_s)
+
+    def handled(self, stamp_ns: int) -> None:
+        """Note how old a frame is, by its stamp and the node's clock, now that it is done with."""
+        age_s = (self._node.get_clock().now().nanoseconds - stamp_ns) / 1e9
+        if abs(age_s) < OLD_S:
+            self._age_s.append(age_s)
 
     def refuse(self, error: Exception) -> None:
         """Count a message that could not be used, and log why (each kind at most every 10 s)."""
@@ -75,7 +84,8 @@ class Diagnostics:
         now = time.monotonic()
         elapsed, self._since_s = now - self._since_s, now
         latency_ms = sorted(1e3 * value for value in self._latency_s)
-        self._latency_s = []
+        age_ms = sorted(1e3 * value for value in self._age_s)
+        self._latency_s, self._age_s = [], []
         before, self._seen = self._seen, (self.received, self.refused, self.missing)
         came, refused, missing = (a - b for a, b in zip(self._seen, before, strict=True))
         faults = [fault for check in self._checks if (fault := check())]
@@ -89,6 +99,8 @@ class Diagnostics:
             "rate_hz": f"{came / max(elapsed, 1e-9):.1f}",
             "latency_ms_median": _quantile(latency_ms, 0.5),
             "latency_ms_p99": _quantile(latency_ms, 0.99),
+            "age_ms_median": _quantile(age_ms, 0.5),
+            "age_ms_p99": _quantile(age_ms, 0.99),
             "received": self.received,
             "published": self.published,
             "refused": self.refused,

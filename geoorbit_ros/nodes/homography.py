@@ -81,6 +81,7 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
         self._vehicles = self.create_publisher(PoseArray, "vehicles", qos)
         self._fix = self.create_publisher(NavSatFix, "datum", LATCHED)
         self._fix.publish(datum_to_fix(points.datum, p.frame_id))
+        self._on_road = 0
         TableStream(self, "tracks_px", PIXEL_TRACK_DTYPE, p, self._on_frame, self._projector.reset)
 
     def diagnostic_values(self) -> Mapping[str, object]:
@@ -92,7 +93,8 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
             for k in range(len(points))
         }
         counts = {f"boxes_{key}": n for key, n in asdict(self._projector.counts).items()}
-        return {"tracks_subscribers": self.tracks.get_subscription_count(), **counts, **errors}
+        readers = self.tracks.get_subscription_count()
+        return {"vehicles": self._on_road, "tracks_subscribers": readers, **counts, **errors}
 
     def _datum(self) -> Datum | None:
         given = (self.p.datum_latitude_deg, self.p.datum_longitude_deg)
@@ -105,6 +107,7 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
 
     def _on_frame(self, stamp_ns: int, rows: NDArray[np.void]) -> None:
         ground = self._projector.project(stamp_ns, rows)
+        self._on_road = len(ground)
         frame_id = self.p.frame_id
         self.publish_stream(self.tracks, encode_table(stamp_ns, frame_id, ground))
         if self._vehicles.get_subscription_count():

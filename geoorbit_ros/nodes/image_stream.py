@@ -116,6 +116,7 @@ class ImageStream:
             self._check_order(stamp_ns, place)
             self._check_size(picture, place)
             self._on_picture(stamp_ns, frame_id, picture)
+            diagnostics.handled(stamp_ns)
         except GeoOrbitError as error:
             diagnostics.refuse(error)
         diagnostics.missing = max(self._order.missing - self.dropped, 0)

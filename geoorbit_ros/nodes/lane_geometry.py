@@ -65,20 +65,19 @@ class LaneGeometryNode(GeoOrbitNode[LaneGeometryParameters]):
 
     def setup(self) -> None:
         """Start with an empty map."""
+        p = self.p
         self.datum: Datum | None = None
         self._latest: LaneMap | None = None
-        self.frames = self.lane_maps = self.predictions = 0
-        self.theta = self.p.theta
-        verifier = Verifier(public_key(self.p.lane_parameters_key), self.p.federation)
+        self.frames = self.lane_maps = 0
+        self.theta = p.theta
+        verifier = Verifier(public_key(p.lane_parameters_key), p.federation)
         self._inbox = ThetaInbox(self.camera_id, verifier)
-        file = Path(self.p.state_file) if self.p.state_file else None
+        file = Path(p.state_file) if p.state_file else None
         self._mapper = LiveMapper(
-            self.p.estimator, self.theta, self.p.update_period_s, file, self.diagnostics.warn
+            p.estimator, self.theta, p.update_period_s, file, self.diagnostics.warn
         )
-        self._lanes = LanePublisher(
-            self, self.p.frame_id, self.p.estimator, tentative=self.p.publish_tentative
-        )
-        TableStream(self, "tracks", TRACK_DTYPE, self.p, self._on_frame, self._mapper.restart)
+        self._lanes = LanePublisher(self, p.frame_id, p.estimator, tentative=p.publish_tentative)
+        TableStream(self, "tracks", TRACK_DTYPE, p, self._on_frame, self._mapper.restart)
         self.create_subscription(NavSatFix, "datum", self._on_datum, LATCHED)
         subscribe_payloads(self, "lane_parameters", LATCHED, self._on_theta)
         self.create_service(Trigger, "~/update", self._on_update)
@@ -86,6 +85,7 @@ class LaneGeometryNode(GeoOrbitNode[LaneGeometryParameters]):
     def on_parameters(self, changed: LaneGeometryParameters) -> None:
         """New detection parameters hold from the next update on, until others come."""
         self.theta = self._mapper.parameters = changed.theta
+        self._inbox.version = "by hand"
 
     def diagnostic_values(self) -> Mapping[str, object]:
         """Size and age of the map."""
@@ -96,7 +96,8 @@ class LaneGeometryNode(GeoOrbitNode[LaneGeometryParameters]):
             "lanes_confirmed": confirmed,
             "lanes_tentative": len(lanes) - confirmed,
             "map_stamp_s": self._latest.stamp_ns / 1e9 if self._latest else "",
-            "predictions": self.predictions,
+            "predictions": self._inbox.taken,
+            "parameter_version": self._inbox.version,
             **{f"theta_{name}": value for name, value in asdict(self.theta).items()},
             "datum": "known" if self.datum else "not received yet",
         }
@@ -109,7 +110,6 @@ class LaneGeometryNode(GeoOrbitNode[LaneGeometryParameters]):
 
     def _on_theta(self, payload: bytes) -> None:
         self.theta = self._mapper.parameters = self._inbox.take(payload, self.theta)
-        self.predictions += 1
 
     def _on_datum(self, fix: NavSatFix) -> None:
         try:

@@ -104,6 +104,8 @@ class SumoBridgeNode(GeoOrbitNode[SumoBridgeParameters]):
             "vehicles": len(twin.fleet.slots),
             "steps": twin.steps,
             "steps_per_s": f"{latest.steps_per_s:.0f}" if latest else "",
+            "error_m_p95": f"{latest.position_error_m_p95:.3f}" if latest else "",
+            "other_lane_share": f"{latest.lane_error_share:.4f}" if latest else "",
             "vehicles_lost": twin.placement.lost,
             "simulation_restarts": self.runner.restarts,
             **asdict(twin.fusion.counts),

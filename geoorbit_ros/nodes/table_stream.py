@@ -105,6 +105,7 @@ class TableStream:
             self._node.get_logger().info(f"{self._place}: {jump}")
             self._on_restart()
         self._on_frame(stamp_ns, rows)
+        self._node.diagnostics.handled(stamp_ns)
 
     def _foreign_type(self) -> str | None:
         """A publisher of another type: DDS never delivers its messages, so look for it."""

@@ -1,5 +1,7 @@
 """What a node says about itself once a second."""
 
+import time
+
 import numpy as np
 from probe import LOSSLESS, Probe
 
@@ -27,6 +29,18 @@ def test_counts_rate_latency_and_missing_frames(nodes: Composition) -> None:
     assert 0 < float(status["latency_ms_median"]) <= float(status["latency_ms_p99"])
     quiet = probe.status_of("/north/lane_geometry")
     assert (quiet["level"], quiet["rate_hz"]) == ("0", "0.0")
+
+
+def test_a_frame_of_the_present_has_an_age_and_a_recording_has_none(nodes: Composition) -> None:
+    node = nodes.make(LaneGeometryNode, "north", LOSSLESS)
+    probe = Probe(nodes)
+    send = probe.table_publisher("tracks")
+    send(10**9, np.empty(0, TRACK_DTYPE))
+    probe.until(lambda: node.diagnostics.received == 1, "the frame of 1970")
+    assert probe.status_of("/north/lane_geometry")["age_ms_p99"] == ""
+    send(time.time_ns() - 250_000_000, np.empty(0, TRACK_DTYPE))
+    probe.until(lambda: node.diagnostics.received == 2, "the frame of a quarter second ago")
+    assert float(probe.status_of("/north/lane_geometry")["age_ms_p99"]) > 250.0
 
 
 def test_they_come_although_simulated_time_stands_still(nodes: Composition) -> None:

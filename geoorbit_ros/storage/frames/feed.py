@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from geoorbit_ros.storage.frames.pace import Pace, Thinning
 from geoorbit_ros.storage.frames.source import FrameSource, StampedImage
@@ -27,6 +27,8 @@ class FrameFeed:
         loop: Start a recording again at its end; its stamps go on.
         max_fps: Frames per second at most, 0 for all.
         depth: Frames that may wait to be taken.
+        clock_ns: A recording's frames are stamped with the times at which they are due by this
+            clock, as a camera's are; None: they keep their own.
 
     Attributes:
         captured: Frames read so far.
@@ -43,12 +45,15 @@ class FrameFeed:
         loop: bool = False,
         max_fps: float = 0.0,
         depth: int = 3,
+        clock_ns: Callable[[], int] | None = None,
     ) -> None:
         self.captured = self.dropped = 0
         self.thinning = Thinning(max_fps)
         self.error: Exception | None = None
         self._source, self._loop, self._depth = source, loop and not source.live, depth
         self._pace = Pace(0.0 if source.live else rate)
+        self._clock_ns = None if source.live else clock_ns
+        self._anchors = self._shift_ns = 0
         self._lossless = rate == 0.0 and not source.live
         self._waiting: deque[StampedImage] = deque()
         self._changed = threading.Condition()
@@ -88,10 +93,10 @@ class FrameFeed:
 
     def _run(self) -> None:
         try:
-            for frame in self._frames():
+            for stamp_ns, image in self._frames():
                 self.captured += 1
-                if self._wanted(frame[0]):
-                    self._put(frame)
+                if self._wanted(stamp_ns):
+                    self._put((stamp_ns + self._shift_ns, image))
                 if self._stopping.is_set():
                     break
         except Exception as error:  # handed to whoever watches the feed
@@ -118,6 +123,9 @@ class FrameFeed:
         if not self.thinning.keep(stamp_ns):
             return False
         wait_s = self._pace.wait_s(stamp_ns, time.monotonic())
+        if self._clock_ns and self._pace.anchors != self._anchors:
+            self._anchors = self._pace.anchors
+            self._shift_ns = self._clock_ns() + round(1e9 * wait_s) - stamp_ns
         return not (wait_s > 0.0 and self._stopping.wait(wait_s))
 
     def _put(self, frame: StampedImage) -> None:

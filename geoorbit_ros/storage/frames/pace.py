@@ -18,10 +18,15 @@ class Pace:
 
     Args:
         rate: Speed relative to the recording; 0 makes every frame due at once.
+
+    Attributes:
+        anchors: How often time began anew: at the first frame, and after hold-ups and silences;
+            once, and before that frame, when all are due at once.
     """
 
     def __init__(self, rate: float) -> None:
         self._rate = rate
+        self.anchors = int(rate == 0.0)
         self._anchor: tuple[int, float] | None = None
 
     def wait_s(self, stamp_ns: int, wall_s: float) -> float:
@@ -33,11 +38,13 @@ class Pace:
             return 0.0
         if self._anchor is None:
             self._anchor = stamp_ns, wall_s
+            self.anchors += 1
         first_ns, start_s = self._anchor
         wait_s = start_s + (stamp_ns - first_ns) / 1e9 / self._rate - wall_s
         if not -_MAX_LATE_S <= wait_s <= _MAX_WAIT_S:
             wait_s = min(max(wait_s, 0.0), _MAX_WAIT_S)
             self._anchor = stamp_ns, wall_s + wait_s
+            self.anchors += 1
         return max(wait_s, 0.0)
 
 

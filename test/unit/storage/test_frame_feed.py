@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Iterator
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -69,6 +70,23 @@ def test_a_loop_goes_on_with_stamps_one_period_apart() -> None:
     taken = [feed.take(LIMIT_S) for _ in range(8)]
     assert feed.stop()
     assert [frame[0] for frame in taken if frame] == [k * PERIOD_NS for k in range(1, 9)]
+
+
+def test_a_recording_can_be_stamped_as_if_it_were_live(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Frame 3 is held up for ten seconds; the next are due one period apart again.
+    steady_s = iter([0.0, 0.04, 10.0, 10.04])
+    clock = SimpleNamespace(monotonic=lambda: next(steady_s))
+    monkeypatch.setattr("geoorbit_ros.storage.frames.feed.time", clock)
+    wall_ns = iter([5_000_000_000, 15_000_000_000])
+    feed = FrameFeed(Numbered(4), depth=4, clock_ns=lambda: next(wall_ns))
+    feed.start()
+    assert numbers(feed) == [125, 126, 375, 376]
+
+
+def test_at_rate_zero_the_first_frame_has_the_clocks_time() -> None:
+    feed = FrameFeed(Numbered(3), rate=0.0, clock_ns=lambda: 5_000_000_000)
+    feed.start()
+    assert numbers(feed) == [125, 126, 127]
 
 
 def test_a_live_source_is_never_looped() -> None:
