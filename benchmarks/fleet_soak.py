@@ -96,11 +96,10 @@ def rendered_fleet(folder: Path) -> dict[str, object]:
         datum = shown.datum
     (folder / "net").mkdir()
     network = write_network(place_roads(scene), folder / "net", datum)
-    size = {"image_width": SIZE[0], "image_height": SIZE[1]}
     return {
         "cameras": cameras,
         "federated_server": {},
-        "twin": {"network": str(network), "parameters": size},
+        "twin": {"network": str(network)},
         "recorder": {},
     }
 

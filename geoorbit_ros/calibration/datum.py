@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pyproj import Transformer
 
-from geoorbit_ros.core.errors import CalibrationError
+from geoorbit_ros.core.errors import CalibrationError, ParameterError
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,3 +69,16 @@ class Datum:
 def _transformer(proj_string: str) -> Transformer:
     """Making one takes milliseconds, using it microseconds."""
     return Transformer.from_crs("EPSG:4326", proj_string, always_xy=True)
+
+
+def given_datum(latitude_deg: float, longitude_deg: float, place: str) -> Datum | None:
+    """The datum of two parameters; None when both are NaN.
+
+    Raises:
+        ParameterError: One of them only.
+    """
+    given = [not math.isnan(value) for value in (latitude_deg, longitude_deg)]
+    if any(given) and not all(given):
+        expected = "both latitude and longitude, or neither"
+        raise ParameterError(f"{place}, parameters datum_…_deg", "one of them", expected)
+    return Datum(latitude_deg, longitude_deg) if all(given) else None

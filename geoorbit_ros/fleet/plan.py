@@ -107,6 +107,7 @@ def plan_nodes(
             "network": str(base / fleet.twin.network),
             "cameras": " ".join(camera.id for camera in cameras),
             "calibrations": " ".join(files_of),
+            "image_sizes": " ".join("{}x{}".format(*image_size(camera)) for camera in cameras),
         }
         bridge = NodePlan("sumo_bridge", "", wiring | fleet.twin.parameters)
         plans.append(ProcessPlan(TWIN, (bridge,), first=True))
@@ -121,7 +122,7 @@ def camera_nodes(
     camera: Camera, fleet: Fleet, base: Path, output: Path, keys: FederationKeys | None
 ) -> Iterable[NodePlan]:
     """The nodes of one camera, readers before writers: nothing is sent before it can be heard."""
-    width, height = camera.image_size or BAG_IMAGE_SIZE
+    width, height = image_size(camera)
     size: dict[str, Value] = {"image_width": width, "image_height": height}
     ground: dict[str, Value] = {"calibration_file": str(calibration_file(camera, base, output))}
     if camera.datum:
@@ -178,6 +179,11 @@ def expected_nodes(fleet: Fleet) -> dict[str, list[str]]:
         for node in plan.nodes:
             expected.setdefault(node.namespace, []).append(node.executable)
     return expected
+
+
+def image_size(camera: Camera) -> tuple[int, int]:
+    """Width and height as far as they are known."""
+    return camera.image_size or BAG_IMAGE_SIZE
 
 
 def image_source(camera: Camera, base: Path) -> str:

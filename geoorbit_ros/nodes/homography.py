@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -14,10 +13,10 @@ from sensor_msgs.msg import NavSatFix, PointCloud2
 
 from geoorbit_ros.calibration.box_projector import BoxProjector
 from geoorbit_ros.calibration.control_points import read_control_points
-from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.calibration.datum import given_datum
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.conversions import datum_to_fix, encode_pose_array, encode_table, vehicle_poses
-from geoorbit_ros.core.errors import InputFileError, ParameterError
+from geoorbit_ros.core.errors import InputFileError
 from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE
 from geoorbit_ros.nodes.base import GeoOrbitNode
 from geoorbit_ros.nodes.latched import LATCHED
@@ -60,7 +59,9 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
     def setup(self) -> None:
         """Fit the road plane, then start."""
         p = self.p
-        points = read_control_points(p.calibration_file, self._datum())
+        place = f"node '{self.get_fully_qualified_name()}'"
+        datum = given_datum(p.datum_latitude_deg, p.datum_longitude_deg, place)
+        points = read_control_points(p.calibration_file, datum)
         if points.datum is None:
             expected = "parameters datum_latitude_deg and datum_longitude_deg: where (0, 0) is"
             raise InputFileError(p.calibration_file, "control points in metres", expected)
@@ -95,15 +96,6 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
         counts = {f"boxes_{key}": n for key, n in asdict(self._projector.counts).items()}
         readers = self.tracks.get_subscription_count()
         return {"vehicles": self._on_road, "tracks_subscribers": readers, **counts, **errors}
-
-    def _datum(self) -> Datum | None:
-        given = (self.p.datum_latitude_deg, self.p.datum_longitude_deg)
-        if all(math.isnan(value) for value in given):
-            return None
-        if any(math.isnan(value) for value in given):
-            place = f"node '{self.get_fully_qualified_name()}', parameters datum_…_deg"
-            raise ParameterError(place, "one of them", "both latitude and longitude, or neither")
-        return Datum(*given)
 
     def _on_frame(self, stamp_ns: int, rows: NDArray[np.void]) -> None:
         ground = self._projector.project(stamp_ns, rows)

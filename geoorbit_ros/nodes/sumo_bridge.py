@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -12,11 +11,12 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from rclpy.publisher import Publisher
 from sensor_msgs.msg import NavSatFix
 
-from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.calibration.datum import Datum, given_datum
 from geoorbit_ros.conversions import datum_from_fix
-from geoorbit_ros.core.errors import MessageError, ParameterError
+from geoorbit_ros.core.errors import GeoOrbitError, MessageError
 from geoorbit_ros.core.tables import TRACK_DTYPE
 from geoorbit_ros.nodes.base import GeoOrbitNode
 from geoorbit_ros.nodes.latched import LATCHED
@@ -38,8 +38,7 @@ class SumoBridgeParameters:
     network: str
     cameras: str
     calibrations: str
-    image_width: int
-    image_height: int
+    image_sizes: str
     datum_latitude_deg: float
     datum_longitude_deg: float
     step_s: float
@@ -58,7 +57,8 @@ class SumoBridgeNode(GeoOrbitNode[SumoBridgeParameters]):
     """Subscribes `<camera>/tracks` and `<camera>/datum`; publishes the twin on `twin/…`.
 
     `twin/vehicles`, `twin/tracks` (the same with ids, sizes and classes), `twin/datum`,
-    `twin/health`, and for each camera the network's lanes on `<camera>/reference/lane_<k>/…`.
+    `twin/health`, and for each camera whose datum has come the network's lanes in its view on
+    `<camera>/reference/lane_<k>/…`.
 
     Raises:
         GeoOrbitError: A parameter, the network or a calibration can't be used, or SUMO doesn't
@@ -69,17 +69,14 @@ class SumoBridgeNode(GeoOrbitNode[SumoBridgeParameters]):
     struct = SumoBridgeParameters
 
     def setup(self) -> None:
-        """Load the network, start the simulation, publish the references."""
+        """Load the network and start the simulation."""
         p = self.p
-        place = f"node '{self.get_fully_qualified_name()}', parameter "
-        cameras = split_names(p.cameras, f"{place}'cameras'")
-        size = (p.image_width, p.image_height)
-        views = read_views(cameras, p.calibrations, size, f"{place}'calibrations'")
-        network = load_network(p.network, self._datum(place))
-        self._references = []
-        for view in views:
-            lanes = reference_lanes(load_network(p.network, view.datum), view.polygon_m)
-            self._references += publish_references(self, view.name, p.frame_id, lanes)
+        place = f"node '{self.get_fully_qualified_name()}'"
+        cameras = split_names(p.cameras, f"{place}, parameter 'cameras'")
+        self._views = read_views(cameras, p.calibrations, p.image_sizes, f"{place}, parameter ")
+        self._references: dict[str, list[Publisher]] = {}
+        datum = given_datum(p.datum_latitude_deg, p.datum_longitude_deg, place)
+        network = load_network(p.network, datum)
         backend = backend_of(p.backend, p.gui)
         start = partial(SumoSimulation, Path(p.network), p.step_s, backend=backend, gui=p.gui)
         qos = stream_qos(p.reliability, p.queue_depth)
@@ -116,23 +113,25 @@ class SumoBridgeNode(GeoOrbitNode[SumoBridgeParameters]):
         if hasattr(self, "runner"):
             self.runner.close()
 
-    def _datum(self, place: str) -> Datum | None:
-        given = (self.p.datum_latitude_deg, self.p.datum_longitude_deg)
-        if all(math.isnan(value) for value in given):
-            return None
-        if any(math.isnan(value) for value in given):
-            raise ParameterError(
-                f"{place}datum_…_deg", "one of them", "both latitude and longitude, or neither"
-            )
-        return Datum(*given)
-
     def _on_datum(self, camera: str, place: str, fix: NavSatFix) -> None:
         try:
-            self.known[camera] = datum_from_fix(fix, place)
-        except MessageError as error:
+            datum = datum_from_fix(fix, place)
+            if datum != self.known.get(camera):
+                self._refer(camera, datum)
+        except GeoOrbitError as error:
             self.diagnostics.refuse(error)
             return
-        self.runner.set_datum(camera, self.known[camera])
+        self.known[camera] = datum
+        self.runner.set_datum(camera, datum)
+
+    def _refer(self, camera: str, datum: Datum) -> None:
+        """Publish the network's lanes in the frame of the camera's tracks."""
+        if (view := self._views.get(camera)) is None:
+            return
+        lanes = reference_lanes(load_network(self.p.network, datum), view.polygon_in(datum))
+        for publisher in self._references.pop(camera, []):
+            self.destroy_publisher(publisher)
+        self._references[camera] = publish_references(self, camera, self.p.frame_id, lanes)
 
     def _on_frame(self, camera: str, place: str, stamp_ns: int, rows: NDArray[np.void]) -> None:
         self.twin.arrived_s = time.perf_counter()

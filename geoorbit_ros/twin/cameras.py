@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,11 +17,19 @@ from geoorbit_ros.twin.view import view_polygon
 
 @dataclass(frozen=True, slots=True)
 class CameraView:
-    """A camera's name, the origin of its map frame, and the ground it sees in that frame."""
+    """The ground that a camera sees.
 
-    name: str
+    Attributes:
+        datum: Origin of the polygon's frame: the middle of the control points.
+        polygon_m: (V, 2) corners.
+    """
+
     datum: Datum
     polygon_m: NDArray[np.float64]
+
+    def polygon_in(self, datum: Datum) -> NDArray[np.float64]:
+        """The corners in the map frame of another datum: that of the camera's tracks."""
+        return datum.to_local(*self.datum.to_geodetic(self.polygon_m).T)
 
 
 def split_names(text: str, place: str) -> list[str]:
@@ -36,22 +45,36 @@ def split_names(text: str, place: str) -> list[str]:
 
 
 def read_views(
-    cameras: list[str], calibrations: str, image_size: tuple[int, int], place: str
-) -> list[CameraView]:
+    cameras: list[str], calibrations: str, image_sizes: str, place: str
+) -> dict[str, CameraView]:
     """The cameras' views by their control point files, none when no file is given.
 
+    Args:
+        cameras: Names.
+        calibrations: One file per camera, separated by spaces.
+        image_sizes: `1920x1080` of all cameras, or one such for each.
+        place: For errors.
+
     Raises:
-        GeoOrbitError: A file that can't be used, or not one file per camera.
+        GeoOrbitError: A file or size that can't be used, or not one per camera.
     """
-    files = calibrations.split()
+    files, sizes = calibrations.split(), _sizes(image_sizes, len(cameras), place)
     if files and len(files) != len(cameras):
         found = f"{len(files)} files for {len(cameras)} cameras"
-        raise ParameterError(place, found, "one file per camera, in the same order")
-    views = []
-    for name, file in zip(cameras, files, strict=False):
+        raise ParameterError(f"{place}'calibrations'", found, "one file per camera, in their order")
+    views = {}
+    for name, file, size in zip(cameras, files, sizes, strict=False):
         points = read_control_points(file, None)
         if points.datum is None:
             raise InputFileError(file, "control points in metres", "latitudes and longitudes")
-        polygon = view_polygon(fit_homography(points), image_size)
-        views.append(CameraView(name, points.datum, polygon))
+        views[name] = CameraView(points.datum, view_polygon(fit_homography(points), size))
     return views
+
+
+def _sizes(text: str, cameras: int, place: str) -> list[tuple[int, int]]:
+    sizes = [re.fullmatch(r"([1-9]\d{1,4})x([1-9]\d{1,4})", word) for word in text.split()]
+    found = [(int(size[1]), int(size[2])) for size in sizes if size]
+    if len(found) != len(sizes) or len(found) not in (1, cameras):
+        expected = "WIDTHxHEIGHT of all cameras, or one for each, separated by spaces"
+        raise ParameterError(f"{place}'image_sizes'", f"'{text}'", expected)
+    return found * (cameras if len(found) == 1 else 1)

@@ -14,6 +14,7 @@ from nav_msgs.msg import Path as PathMessage
 from probe import KEEP_ALL, LOSSLESS, Probe
 from sensor_msgs.msg import NavSatFix
 
+from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.conversions import datum_to_fix
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.core.tables import TRACK_DTYPE
@@ -92,7 +93,10 @@ def test_a_sumo_that_dies_is_replaced(nodes: Composition, net: Path) -> None:
     assert np.allclose(replaced.states(["v1"]).xy[0], (50.0 + 18.0 + 2.3, LANE_Y), atol=1e-3)
 
 
-def test_references_are_latched_paths(nodes: Composition, net: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("own_datum", [True, False])
+def test_references_are_latched_paths_in_the_frame_of_the_tracks(
+    nodes: Composition, net: Path, tmp_path: Path, own_datum: bool
+) -> None:
     """A camera over (150, -20) that looks east along the road, as a plane seen from above."""
     corners = DATUM.to_geodetic([(x, y) for x in (100, 150, 200) for y in (-40, 0, 40)])
     pixels = [(960 - 12 * y, 1000 - 9 * (x - 100)) for x in (100, 150, 200) for y in (-40, 0, 40)]
@@ -103,6 +107,8 @@ def test_references_are_latched_paths(nodes: Composition, net: Path, tmp_path: P
     file.write_text("\n".join(lines) + "\n")
     start(nodes, net, cameras="north", calibrations=str(file))
     probe = Probe(nodes, "site/north")
+    origin = Datum(*corners.mean(axis=0)) if own_datum else DATUM
+    probe.publisher("datum", NavSatFix, LATCHED).publish(datum_to_fix(origin, "map"))
     found: dict[str, list[Any]] = {
         f"{k}/{role}": probe.listen(f"reference/lane_{k}/{role}", PathMessage)
         for k in range(1, 6)
@@ -113,8 +119,7 @@ def test_references_are_latched_paths(nodes: Composition, net: Path, tmp_path: P
         [(p.pose.position.x, p.pose.position.y) for p in found["1/centerline"][0].poses]
     )
     left = np.array([(p.pose.position.x, p.pose.position.y) for p in found["1/left"][0].poses])
-    # In the camera's own frame, whose origin is the middle of its control points.
-    shift = DATUM.to_local(*corners.mean(axis=0))[0]
+    shift = DATUM.to_local(origin.latitude_deg, origin.longitude_deg)[0]
     assert np.abs(line[:, 1] + shift[1] + 8.75).max() < 0.05
     assert np.abs(left[:, 1] - line[:, 1] - 1.75).max() < 0.01
     assert 80.0 < line[-1, 0] - line[0, 0] < 125.0
@@ -134,6 +139,8 @@ def test_tracks_before_their_datum_are_refused(nodes: Composition, net: Path) ->
         ({"network": "no.net.xml"}, "no.net.xml: found no such file"),
         ({"cameras": "north north"}, "different names"),
         ({"calibrations": "one.csv"}, "one file per camera"),
+        ({"image_sizes": "640x360 wide"}, "WIDTHxHEIGHT"),
+        ({"image_sizes": "640x360 640x360 640x360"}, "or one for each"),
         ({"gui": True}, "with a window"),
         ({"datum_latitude_deg": 43.0}, "both latitude and longitude"),
     ],
