@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 import time
 from collections.abc import Iterable, Iterator, Sized
 from contextlib import contextmanager
@@ -13,9 +15,18 @@ if TYPE_CHECKING:
     from rich.progress import Progress
     from rich.table import Table
 
-console = Console(highlight=False)
+_PIPED_WIDTH = 120
+"""Columns where no terminal has any: rich's 80 cut tables in log files."""
+
+
+def _make_console(*, stderr: bool) -> Console:
+    known = (sys.stderr if stderr else sys.stdout).isatty() or "COLUMNS" in os.environ
+    return Console(stderr=stderr, highlight=False, width=None if known else _PIPED_WIDTH)
+
+
+console = _make_console(stderr=False)
 """Results: standard output."""
-error_console = Console(stderr=True, highlight=False)
+error_console = _make_console(stderr=True)
 """Progress and errors: standard error, so that results can be piped."""
 
 _Item = TypeVar("_Item")
