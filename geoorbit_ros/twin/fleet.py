@@ -94,9 +94,9 @@ class Fleet:
         votes = self.table["votes"]
         votes[slot] *= _MEMORY
         np.add.at(votes, (slot, kind), 1.0)
-        kind_now = self.table["kind"][slot]
-        leader = np.argmax(votes[slot], axis=1)
-        lead = votes[slot, leader] - votes[slot, np.maximum(kind_now, 0)]
+        kind_now, now = self.table["kind"][slot], votes[slot]
+        leader, row = np.argmax(now, axis=1), np.arange(len(slot))
+        lead = now[row, leader] - now[row, np.maximum(kind_now, 0)]
         self.table["kind"][slot] = np.where((kind_now < 0) | (lead > _LEAD), leader, kind_now)
 
 

@@ -17,6 +17,9 @@ NEIGHBOURS = 10
 CANDIDATES = 5
 RADIUS_M = 7.0
 """Farther from every lane a point is not on the road."""
+_APART = 1e3
+"""More than any distance, so that places are ordered by lane first."""
+_PLACES = ("offset_m", "past_m", "arc_m", "heading_rad")
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,54 +51,62 @@ class LaneIndex:
     def __init__(self, network: RoadNetwork) -> None:
         pieces = [_pieces(network.line(lane)) for lane in range(len(network))]
         count = [len(arc) for _, _, arc in pieces]
-        self._from = np.concatenate([start for start, _, _ in pieces])
+        begin = np.concatenate([start for start, _, _ in pieces])
         vector = np.concatenate([step for _, step, _ in pieces])
         self._length = np.hypot(vector[:, 0], vector[:, 1])
-        self._unit = vector / self._length[:, None]
+        self._from_x, self._from_y = begin.T.copy()
+        self._cos, self._sin = (vector / self._length[:, None]).T.copy()
         self._arc = np.concatenate([arc for _, _, arc in pieces])
         self._heading = np.arctan2(vector[:, 1], vector[:, 0])
-        self._lane = np.append(np.repeat(np.arange(len(network)), count), NONE)
-        self._tree = cKDTree(self._from + 0.5 * vector)
+        self._lane = np.repeat(np.arange(len(network)), count)
+        self._tree = cKDTree(begin + 0.5 * vector)
 
     def near(self, xy: NDArray[np.float64], radius_m: float = RADIUS_M) -> Candidates:
         """The lanes within `radius_m` of points (M, 2)."""
-        rows = np.arange(len(xy))[:, None]
         _, piece = self._tree.query(xy, k=NEIGHBOURS, distance_upper_bound=radius_m + 0.5 * PIECE_M)
         none = piece == len(self._length)
         at = np.where(none, 0, piece)
-        along, across = self._project(xy[:, None, :], at)
+        along, across = self._project(xy, at)
         past = along - np.clip(along, 0.0, self._length[at])
         distance = np.hypot(past, across)
         distance[none | (distance > radius_m)] = np.inf
-        lane = np.where(np.isinf(distance), NONE, self._lane[piece])
-        # Of each lane the nearest piece alone.
-        order = np.lexsort((distance, lane), axis=1)
-        lane_in_order = lane[rows, order]
-        repeated = np.zeros_like(none)
-        repeated[:, 1:] = lane_in_order[:, 1:] == lane_in_order[:, :-1]
-        reach = np.where(repeated, np.inf, distance[rows, order])
-        nearest = order[rows, np.argsort(reach, axis=1, kind="stable")[:, :CANDIDATES]]
-        kept = np.sort(reach, axis=1)[:, :CANDIDATES] < np.inf
-        chosen = np.where(kept, lane[rows, nearest], NONE)
-        by_lane = np.argsort(np.where(kept, chosen, np.iinfo(np.int64).max), axis=1)
-        pick = nearest[rows, by_lane]
-        part = at[rows, pick]
-        return Candidates(
-            lane=chosen[rows, by_lane],
-            offset_m=across[rows, pick],
-            past_m=np.abs(past[rows, pick]),
-            arc_m=self._arc[part] + np.clip(along[rows, pick], 0.0, self._length[part]),
-            heading_rad=self._heading[part],
+        # Of each lane the nearest piece alone: in the order of lanes and distances the first.
+        order = np.argsort(self._lane[at] * _APART + distance, axis=1)
+        reach = np.take_along_axis(distance, order, axis=1)
+        lane = np.take_along_axis(self._lane[at], order, axis=1)
+        first = np.isfinite(reach)
+        first[:, 1:] &= lane[:, 1:] != lane[:, :-1]
+        _keep_nearest(first, reach)
+        row, column = np.nonzero(first)
+        place = (row, (np.cumsum(first, axis=1) - 1)[row, column])
+        chosen = (row, order[row, column])
+        part = at[chosen]
+        found = Candidates(
+            lane=np.full((len(xy), CANDIDATES), NONE),
+            **{name: np.zeros((len(xy), CANDIDATES)) for name in _PLACES},
         )
+        found.lane[place] = self._lane[part]
+        found.offset_m[place] = across[chosen]
+        found.past_m[place] = np.abs(past[chosen])
+        found.arc_m[place] = self._arc[part] + (along - past)[chosen]
+        found.heading_rad[place] = self._heading[part]
+        return found
 
     def _project(
         self, xy: NDArray[np.float64], piece: NDArray[np.int64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Place along and to the left of pieces."""
-        relative, unit = xy - self._from[piece], self._unit[piece]
-        along = relative[..., 0] * unit[..., 0] + relative[..., 1] * unit[..., 1]
-        across = unit[..., 0] * relative[..., 1] - unit[..., 1] * relative[..., 0]
-        return along, across
+        """Place of points (M, 2) along and to the left of pieces (M, K)."""
+        x, y = xy[:, :1] - self._from_x[piece], xy[:, 1:] - self._from_y[piece]
+        cos, sin = self._cos[piece], self._sin[piece]
+        return x * cos + y * sin, y * cos - x * sin
+
+
+def _keep_nearest(first: NDArray[np.bool_], reach: NDArray[np.float64]) -> None:
+    """Of the marked places (M, K) in each row leave the `CANDIDATES` nearest ones."""
+    many = np.flatnonzero(np.count_nonzero(first, axis=1) > CANDIDATES)
+    if len(many):
+        far = np.argsort(np.where(first[many], reach[many], np.inf), axis=1)[:, CANDIDATES:]
+        first[many[:, None], far] = False
 
 
 def _pieces(

@@ -119,6 +119,7 @@ class Placement:
             plane.to_network.points(front),
             np.degrees(0.5 * np.pi - rows["course"] - turn) % 360.0,
             np.abs(rows["offset"]) + REACH_M,
+            rows["within"] & (lane == rows["lane"]),
         )
         self._simulation.move(moves)
         self._simulation.step()

@@ -1,7 +1,7 @@
 """The network as the running simulation gets it: the same lanes, fewer points, shorter pieces.
 
 `moveToXY` walks along the whole shape of every lane near the vehicle, several times: on a motorway
-drawn every 2 m it costs 260 µs per vehicle and step. So shapes are thinned to the centimetre, and
+drawn every 2 m it costs 260 µs per vehicle and step. So shapes are thinned to two centimetres, and
 edges that still have many points are cut into pieces joined end to end
 (docs/adr/0017-running-network.md). Pieces are named `<edge>~1`, `<edge>~2`, …; nobody outside of
 `simulation.py` sees those names.
@@ -10,9 +10,10 @@ edges that still have many points are cut into pieces joined end to end
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from copy import deepcopy
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from xml.etree import ElementTree as Xml
 
@@ -22,10 +23,14 @@ from numpy.typing import NDArray
 from geoorbit_ros.twin.network_file import parse_xml
 from geoorbit_ros.twin.thinning import thin
 
-TOLERANCE_M = 0.01
-"""No lane moves by more; netconvert writes coordinates to the same precision."""
-MAX_POINTS = 8
-"""A lane with more is cut: the costs of a piece and of finding it are then about the same."""
+TOLERANCE_M = 0.02
+"""No lane moves by more. netconvert rounds coordinates to half of it, so that a tighter tolerance
+keeps points of straight lanes."""
+MAX_POINTS = 4
+"""Pieces have no more points per lane, but for what `MIN_PIECE_M` leaves: every point of every lane
+nearby is looked at several times, and a change of piece costs about as much as three points."""
+MIN_PIECE_M = 8.0
+"""Pieces are no shorter: two vehicle lengths."""
 MARK = "~"
 
 
@@ -43,19 +48,39 @@ class RunningNetwork:
     def piece(self, edge: str, share: float) -> str:
         """The piece of an edge at a share of its length."""
         begins = self.cuts.get(edge)
-        return edge if begins is None else f"{edge}{MARK}{max(bisect_right(begins, share), 1)}"
+        return edge if begins is None else self._names[edge][max(bisect_right(begins, share), 1)]
 
     def pieces(self, edge: str) -> list[str]:
         """All pieces of an edge, in travel order."""
-        count = len(self.cuts.get(edge, ()))
-        return [f"{edge}{MARK}{k + 1}" for k in range(count)] or [edge]
+        return list(self._names.get(edge, ("", edge))[1:])
 
-    def lane_of_file(self, lane: str) -> str:
-        """The lane's id in the file, of a lane of a piece."""
-        if MARK not in lane:
-            return lane
-        edge, _, rest = lane.rpartition(MARK)
-        return f"{edge}_{rest.rpartition('_')[2]}" if edge in self.cuts else lane
+    @cached_property
+    def _names(self) -> dict[str, tuple[str, ...]]:
+        """Names of the pieces of each edge that was cut, counted from 1."""
+        return {
+            edge: ("", *(f"{edge}{MARK}{k + 1}" for k in range(len(begins))))
+            for edge, begins in self.cuts.items()
+        }
+
+    @cached_property
+    def of_lane(self) -> RunningLanes:
+        """What is known of each running lane, by its id."""
+        return RunningLanes(self.cuts)
+
+
+class RunningLanes(dict[str, tuple[str, str]]):
+    """The lane's id in the file and the running edge, of each running lane that is asked for."""
+
+    def __init__(self, cuts: Container[str]) -> None:
+        super().__init__()
+        self._cuts = cuts
+
+    def __missing__(self, lane: str) -> tuple[str, str]:
+        """Work it out once: this is asked for every vehicle in every step."""
+        piece, _, index = lane.rpartition("_")
+        edge = piece.rpartition(MARK)[0]
+        self[lane] = (f"{edge}_{index}" if edge in self._cuts else lane, piece)
+        return self[lane]
 
 
 def write_running_network(path: Path, out: Path) -> RunningNetwork:
@@ -76,10 +101,10 @@ def write_running_network(path: Path, out: Path) -> RunningNetwork:
     whole = set(_edges_to_leave(root))
     for place, edge in reversed(list(enumerate(root))):
         if edge.tag == "edge" and edge.get("function", "normal") == "normal":
-            count = _piece_count(edge)
-            if count > 1 and edge.attrib["id"] not in whole:
-                cuts[edge.attrib["id"]] = tuple(np.arange(count) / count)
-                root[place : place + 1] = _cut(root, edge, count)
+            begins = _begins(edge)
+            if len(begins) > 1 and edge.attrib["id"] not in whole:
+                cuts[edge.attrib["id"]] = begins
+                root[place : place + 1] = _cut(root, edge, begins)
     _rename_ends(root, cuts)
     tree.write(out, encoding="utf-8", xml_declaration=True)
     return RunningNetwork(cuts)
@@ -95,16 +120,28 @@ def _edges_to_leave(root: Xml.Element) -> Iterator[str]:
         yield from ring.get("edges", "").split()
 
 
-def _piece_count(edge: Xml.Element) -> int:
-    counts = [len(lane.get("shape", "").split()) for lane in edge.iter("lane")]
-    return -(-max(counts, default=0) // MAX_POINTS)
+def _begins(edge: Xml.Element) -> tuple[float, ...]:
+    """Where an edge is cut, as shares of its length: after so many points of its densest lane."""
+    lines = [_points(lane.get("shape", "").split()) for lane in edge.iter("lane")]
+    arc = _arc(max(lines, key=len)) if lines else np.zeros(1)
+    begins, at = [0], MAX_POINTS - 1
+    while at < len(arc) - 1:
+        if arc[at] - arc[begins[-1]] >= MIN_PIECE_M:
+            begins.append(at)
+            at += MAX_POINTS - 1
+        else:
+            at += 1
+    if len(begins) > 1 and arc[-1] - arc[begins[-1]] < MIN_PIECE_M:
+        begins.pop()
+    return tuple((arc[begins] / max(arc[-1], 1e-9)).tolist())
 
 
-def _cut(root: Xml.Element, edge: Xml.Element, count: int) -> list[Xml.Element]:
+def _cut(root: Xml.Element, edge: Xml.Element, begins: tuple[float, ...]) -> list[Xml.Element]:
     """The pieces of an edge; their junctions and connections are added to the network."""
+    count = len(begins)
     name, lanes = edge.attrib["id"], [lane.attrib["index"] for lane in edge.iter("lane")]
     pieces = []
-    for k in range(1, count + 1):
+    for k, (begin, end) in enumerate(zip(begins, (*begins[1:], 1.0), strict=True), start=1):
         piece = deepcopy(edge)
         piece.set("id", f"{name}{MARK}{k}")
         piece.attrib.pop("shape", None)
@@ -114,8 +151,8 @@ def _cut(root: Xml.Element, edge: Xml.Element, count: int) -> list[Xml.Element]:
             piece.set("to", f"{name}{MARK}{k + 1}")
         for lane in piece.iter("lane"):
             lane.set("id", f"{name}{MARK}{k}_{lane.attrib['index']}")
-            lane.set("length", f"{float(lane.attrib['length']) / count:.3f}")
-            part = _part(_points(lane.attrib["shape"].split()), (k - 1) / count, k / count)
+            lane.set("length", f"{float(lane.attrib['length']) * (end - begin):.3f}")
+            part = _part(_points(lane.attrib["shape"].split()), begin, end)
             lane.set("shape", " ".join(f"{x:.3f},{y:.3f}" for x, y in part))
         pieces.append(piece)
         if k > 1:
@@ -172,11 +209,16 @@ def _rename_ends(root: Xml.Element, cuts: dict[str, tuple[float, ...]]) -> None:
 
 def _part(line: NDArray[np.float64], begin: float, end: float) -> NDArray[np.float64]:
     """The part of a line (K, 2) between two shares of its length."""
-    arc = np.append(0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T)))
+    arc = _arc(line)
     low, high = begin * arc[-1], end * arc[-1]
     within = (arc > low + 1e-3) & (arc < high - 1e-3)
     ends = np.column_stack([np.interp([low, high], arc, line[:, k]) for k in range(2)])
     return np.concatenate([ends[:1], line[within], ends[1:]])
+
+
+def _arc(line: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(K,) distance of each point of a line from its beginning."""
+    return np.append(0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T)))
 
 
 def _points(words: list[str]) -> NDArray[np.float64]:

@@ -14,7 +14,12 @@ from numpy.typing import NDArray
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.twin.errors import RoadNetworkError, SimulationError
 from geoorbit_ros.twin.network import RoadNetwork, load_network
-from geoorbit_ros.twin.running_network import MAX_POINTS, TOLERANCE_M, write_running_network
+from geoorbit_ros.twin.running_network import (
+    MAX_POINTS,
+    MIN_PIECE_M,
+    TOLERANCE_M,
+    write_running_network,
+)
 from geoorbit_ros.twin.simulation import Backend, Moves, SumoSimulation, backend_of
 from geoorbit_ros.twin.thinning import thin
 
@@ -52,6 +57,7 @@ def moves(network: RoadNetwork, lanes: list[str], arc_m: float, offset_m: float)
         np.array(xy),
         np.array(angle),
         np.full(len(lanes), 3.0),
+        np.full(len(lanes), True),
     )
 
 
@@ -81,6 +87,7 @@ def test_vehicles_are_where_they_are_put(simulation: SumoSimulation, net: Path) 
             wanted.xy[1:],
             wanted.angle_deg[1:],
             wanted.reach_m[1:],
+            wanted.within[1:],
         )
     )
     simulation.step()
@@ -109,6 +116,7 @@ def test_vehicles_beside_the_road_and_over_each_other_stay(
                 places,
                 np.full(4, 90.0),
                 np.full(4, 3.0),
+                np.array([True, True, False, False]),
             )
         )
         simulation.step()
@@ -166,8 +174,9 @@ def test_the_running_network_is_the_same_road(net: Path, tmp_path: Path) -> None
         pieces = [cut.number[f"{piece}_{index}"] for piece in running.pieces(edge)]
         for before, after in pairwise(pieces):
             assert after in cut.successors[before]
-        assert {running.lane_of_file(cut.lane_id[k]) for k in pieces} == {whole.lane_id[lane]}
-        assert max(len(cut.line(k)) for k in pieces) <= MAX_POINTS + 2
+        assert {running.of_lane[cut.lane_id[k]][0] for k in pieces} == {whole.lane_id[lane]}
+        assert min(cut.length_m[k] for k in pieces) >= 0.95 * MIN_PIECE_M
+        assert np.mean([len(cut.line(k)) for k in pieces]) <= MAX_POINTS + 1
         line = np.concatenate([cut.line(k) for k in pieces])
         assert np.abs(line[[0, -1]] - whole.line(lane)[[0, -1]]).max() < 0.01
         for point in whole.line(lane):
