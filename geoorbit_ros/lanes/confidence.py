@@ -11,6 +11,9 @@ VEHICLE_SCALE = 2.2
 """Confidence by traffic alone is 1 - exp(-vehicles / VEHICLE_SCALE): 0.37 for one, 0.93 for six."""
 MIN_VEHICLES = 6.0
 CONFIRM = 0.8
+BEGIN = 0.35
+"""A lane is first shown with what one vehicle that drove along all of it would give (0.365): scraps
+of tracks beside a lane give less."""
 KEEP_CONFIRMED = 0.5
 """A confirmed lane stays so until its confidence falls under this: no flicker at the threshold."""
 

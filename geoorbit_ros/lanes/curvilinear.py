@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.lanes.candidates import find_candidates, find_ridges
-from geoorbit_ros.lanes.confidence import LaneEvidence, judge
+from geoorbit_ros.lanes.confidence import BEGIN, LaneEvidence, judge
 from geoorbit_ros.lanes.corridors import Corridor, find_corridors
 from geoorbit_ros.lanes.evidence import Evidence
 from geoorbit_ros.lanes.identity import LaneRegistry
@@ -82,13 +82,20 @@ class CurvilinearEstimator:
         profiles = lateral_profiles(corridors, passes, worth)
         traced = find_ridges(profiles, passes.large[profiles.passes], parameters)
         candidates = find_candidates(profiles, traced)
-        sections = cross_sections(candidates, corridors, profiles, traced.density)
         lanes = shape_lanes(candidates, corridors, profiles, parameters.width_scale)
         matched = self._registry.match(lanes)
         lanes = [
             judge(lane, candidate.evidence, old is not None and old.status == "confirmed")
             for lane, candidate, old in zip(lanes, candidates, matched, strict=True)
         ]
+        shown = [
+            k
+            for k, (lane, old) in enumerate(zip(lanes, matched, strict=True))
+            if old is not None or lane.confidence >= BEGIN
+        ]
+        lanes, matched = [lanes[k] for k in shown], [matched[k] for k in shown]
+        candidates = [candidates[k] for k in shown]
+        sections = cross_sections(candidates, corridors, profiles, traced.density)
         named = self._registry.identify(lanes, matched)
         lane_map = LaneMap(stamp_ns, tuple(sorted(named, key=lambda k: k.lane_id)), sections)
         self._counted, self._bundle = self._evidence.finished_ever, False
