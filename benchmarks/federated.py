@@ -86,9 +86,8 @@ class Fleet:
         )
         sent = []
         for (number, key), row, count in zip(self.order, self.updates, self.counts, strict=True):
-            update = ClientUpdate(
-                0, self.server.round, model, number, int(count), 0.5, row.tobytes()
-            )
+            data = row.tobytes()
+            update = ClientUpdate(0, self.server.round, model, number, int(count), 0.5, 0.1, data)
             sent.append(key.seal(update.unsigned()))
         return sent
 

@@ -94,7 +94,7 @@ def train(
                 f"{first.parameter_loss:.2f} → {last.parameter_loss:.2f}",
                 f"{first.composite_loss:.4g} → {last.composite_loss:.4g}",
                 f"{model.traffic.total_bytes / 1e3:.0f}" if model.traffic.total_bytes else "–",
-                "better" if model.acceptance.accepted else "[yellow]no gain[/]",
+                "better" if model.verdict.accepted else "[yellow]no gain[/]",
             )
     console.print(table)
     console.print(f" Wrote {out}; next: geoorbit evaluate --out {out}", soft_wrap=True)

@@ -15,6 +15,7 @@ from geoorbit_ros.federated.secure_aggregation.message import SCHEMA as SECURE
 from geoorbit_ros.federated.secure_aggregation.message import SecureMessage
 from geoorbit_ros.federated.server_config import ServerConfig
 from geoorbit_ros.federated.server_state import ServerState
+from geoorbit_ros.federated.verdict import is_judge, is_teacher
 
 _OVERHEAD_BYTES = 512
 """More than any update needs beyond 5 bytes per weight: the longest encoding is top-k of all."""
@@ -44,7 +45,7 @@ class Admission:
 
     def admit(
         self, payload: bytes, state: ServerState, selected: frozenset[int]
-    ) -> tuple[ClientUpdate, Vector]:
+    ) -> tuple[ClientUpdate, Vector | None]:
         """Read an update to the open round, or with an asynchronous strategy to an earlier one.
 
         Args:
@@ -53,7 +54,7 @@ class Admission:
             selected: Clients of the open round; empty: all on the roster.
 
         Returns:
-            The update and its weights, shape (size,).
+            The update and its weights, shape (size,); of a client that only judges, None.
 
         Raises:
             PayloadError: With any reason.
@@ -67,11 +68,12 @@ class Admission:
             found = f"client {update.client}"
             raise PayloadError(Refusal.UNKNOWN_SENDER, SCHEMA, found, "one on the roster")
         self._check_round(update, state)
-        if selected and update.client not in selected:
-            found = f"client {update.client}"
-            raise PayloadError(Refusal.NOT_SELECTED, SCHEMA, found, "one of this round")
+        self._check_role(update, state, selected)
         verifier.check(payload, SCHEMA)
-        return update, self._checked_vector(update)
+        if not (math.isfinite(update.loss) and not math.isinf(update.gain)):
+            found = f"loss {update.loss}, gain {update.gain}"
+            raise PayloadError(Refusal.NOT_FINITE, SCHEMA, found, "finite ones")
+        return update, self._checked_vector(update) if update.sample_count else None
 
     def admit_masked(
         self, payload: bytes, state: ServerState, selected: frozenset[int]
@@ -89,7 +91,8 @@ class Admission:
         if state.finished or message.round < state.round:
             found, expected = f"round {message.round}", f"round {state.round}"
             raise PayloadError(Refusal.OLD_ROUND, SECURE, found, expected)
-        if selected and message.sender not in selected:
+        judges = self._config.judges > 1 and is_judge(message.sender, self._config.judges)
+        if selected and message.sender not in selected and not judges:
             found = f"client {message.sender}"
             raise PayloadError(Refusal.NOT_SELECTED, SECURE, found, "one of this round")
         verifier.check(payload, SECURE)
@@ -109,13 +112,33 @@ class Admission:
             found = f"client {update.client} for round {update.round} again"
             raise PayloadError(Refusal.DUPLICATE, SCHEMA, found, "one update per round")
 
+    def _check_role(
+        self, update: ClientUpdate, state: ServerState, selected: frozenset[int]
+    ) -> None:
+        """Teachers teach, judges judge the open round's model, and nobody does the other's part."""
+        divisor, found = self._config.judges, f"client {update.client}"
+        if update.sample_count:
+            teaches = is_teacher(update.client, divisor)
+            if not teaches or (selected and update.client not in selected):
+                raise PayloadError(Refusal.NOT_SELECTED, SCHEMA, found, "a teacher of this round")
+            if state.trained:
+                expected = "judgements, training is over"
+                raise PayloadError(Refusal.OLD_ROUND, SCHEMA, f"round {update.round}", expected)
+            return
+        if not is_judge(update.client, divisor) or (divisor == 1 and not state.trained):
+            raise PayloadError(Refusal.NOT_SELECTED, SCHEMA, found, "a judge of this round")
+        if update.round < state.round:
+            found, expected = f"round {update.round}", f"round {state.round}"
+            raise PayloadError(Refusal.OLD_ROUND, SCHEMA, found, expected)
+        if update.data:
+            found = f"{len(update.data)} bytes of no examples"
+            raise PayloadError(Refusal.SHAPE, SCHEMA, found, "no data")
+
     def _checked_vector(self, update: ClientUpdate) -> Vector:
         most = self._config.max_sample_count
-        if not 1 <= update.sample_count <= most:
+        if update.sample_count > most:
             found = f"{update.sample_count} examples"
-            raise PayloadError(Refusal.OUT_OF_RANGE, SCHEMA, found, f"1 to {most}")
-        if not math.isfinite(update.loss):
-            raise PayloadError(Refusal.NOT_FINITE, SCHEMA, f"loss {update.loss}", "a finite one")
+            raise PayloadError(Refusal.OUT_OF_RANGE, SCHEMA, found, f"{most} at most")
         vector = decode_vector(update.encoding, update.data, self._size)
         largest = float(np.max(np.abs(vector)))
         if not largest <= self._config.max_abs_update or abs(update.loss) > 1e9:

@@ -51,9 +51,9 @@ class Announcer:
         """Bring `state.published` nearer to `state.model`, and note its digest."""
         self._step = b""
         if not self.differential:
-            state.published = self._again(self._encoding, state.model)
+            state.published = self._decoded(self._encoding, state.model)
         elif state.round == 1:
-            state.published = self._again(Int8(), state.model)
+            state.published = self._decoded(Int8(), state.model)
         else:
             self._step = self._encoding.encode(state.model - state.published)
             state.published = state.published + self._encoding.decode(self._step, self._layout.size)
@@ -73,12 +73,23 @@ class Announcer:
             state.round,
             state.digests[state.round - 1],
             state.digests[state.round],
+            self._approved(state),
             clients,
             self._step,
         )
-        payload = self._signer.seal(delta.unsigned())
-        self.latched.append(payload)
-        return payload
+        return self._append(delta)
+
+    def again(self, state: ServerState, flags: int) -> bytes:
+        """The same model once more, to all who have it: what is said of it has changed."""
+        if not self.differential:
+            return self._whole(state, (), flags, self._encoding, state.published)
+        if len(self.latched) >= self._config.keyframe_interval:
+            return self.repeat(state, (), flags)
+        digest = state.digests[state.round]
+        delta = ModelDelta(
+            self._encoding.code, flags, state.round, digest, digest, self._approved(state), (), b""
+        )
+        return self._append(delta)
 
     def repeat(self, state: ServerState, clients: tuple[int, ...], flags: int) -> bytes:
         """The whole model of the open round, exact: for whoever has no or another one."""
@@ -103,6 +114,8 @@ class Announcer:
             state.round,
             state.digests[state.round],
             self._config.interface,
+            self._approved(state),
+            self._config.judges,
             self._proximal_mu,
             clients,
             self._layout,
@@ -112,6 +125,15 @@ class Announcer:
         self.latched = [payload]
         return payload
 
-    def _again(self, encoding: Encoding, vector: Vector) -> Vector:
+    def _append(self, delta: ModelDelta) -> bytes:
+        payload = self._signer.seal(delta.unsigned())
+        self.latched.append(payload)
+        return payload
+
+    def _approved(self, state: ServerState) -> int:
+        """Digest of the model to use; without judges, that of the newest one."""
+        return state.approved if self._config.judges else state.digests[state.round]
+
+    def _decoded(self, encoding: Encoding, vector: Vector) -> Vector:
         """What comes out at the other end."""
         return np.array(encoding.decode(encoding.encode(vector), self._layout.size))

@@ -15,13 +15,14 @@ from geoorbit_ros.federated.encodings.factory import decode_vector
 from geoorbit_ros.federated.encodings.floats import Float32
 from geoorbit_ros.federated.envelope import UNSIGNED, schema_of
 from geoorbit_ros.federated.errors import PayloadError, Refusal
-from geoorbit_ros.federated.global_model import ASYNCHRONOUS, FINAL, MASKED, GlobalModel
+from geoorbit_ros.federated.global_model import ASYNCHRONOUS, FINAL, JUDGING, MASKED, GlobalModel
 from geoorbit_ros.federated.keys import Signer, Verifier, client_id
 from geoorbit_ros.federated.layout import Tensors, Vector
 from geoorbit_ros.federated.local_work import LocalResult, Train, TrainingOrder, Work
 from geoorbit_ros.federated.masked_client import MaskedClient
 from geoorbit_ros.federated.model_delta import SCHEMA as DELTA
 from geoorbit_ros.federated.model_delta import ModelDelta
+from geoorbit_ros.federated.verdict import is_judge, is_teacher
 
 __all__ = ["FederatedClient", "LocalResult", "Train", "TrainingOrder", "Work"]
 
@@ -33,6 +34,8 @@ class FederatedClient:
 
         client = FederatedClient("north", train)
         update = client.answer(payload)        # train if asked to; bytes to send, or None
+
+        client.used_tensors                    # the model to predict with, None: the defaults
 
     or, where training must not block::
 
@@ -87,6 +90,17 @@ class FederatedClient:
         return self._state.layout.unflatten(self._state.model) if self._state else None
 
     @property
+    def used_tensors(self) -> Tensors | None:
+        """The newest model that judges approved of; None when the defaults are to be used."""
+        state = self._state
+        return state.layout.unflatten(state.used_model) if state and state.used else None
+
+    @property
+    def used(self) -> int:
+        """Digest of that model; 0: none."""
+        return self._state.used if self._state else 0
+
+    @property
     def model_of(self) -> tuple[int, int, int]:
         """Run, round and digest of the global model; zeros before the first."""
         state = self._state
@@ -101,31 +115,35 @@ class FederatedClient:
         """Take a `GlobalModel` or `ModelDelta`.
 
         Returns:
-            What to do: train, or send an update again. None when not selected, or when training is
-            over.
+            What to do: train, judge, or send an update again. None when not selected, or when
+            training is over.
 
         Raises:
             PayloadError: It was refused; the client goes on as if it had never come.
         """
         try:
-            if schema_of(payload) == DELTA:
-                clients, flags = self._take_delta(payload)
-            else:
-                clients, flags = self._take_whole(payload)
+            take = self._take_delta if schema_of(payload) == DELTA else self._take_whole
+            clients, flags = take(payload)
         except PayloadError as error:
             self.refused[error.reason] += 1
             raise
         state = self._state
         assert state is not None
         self.finished, self._asynchronous = bool(flags & FINAL), bool(flags & ASYNCHRONOUS)
-        if self.finished or (clients and self.id not in clients):
+        selected = not clients or self.id in clients
+        order = TrainingOrder(
+            state.round,
+            state.proximal_mu,
+            teach=selected and is_teacher(self.id, state.judges) and not flags & JUDGING,
+            judge=is_judge(self.id, state.judges) and (selected or state.judges > 1),
+        )
+        if self.finished or not (order.teach or order.judge):
             return None
         self._masks, ready = bool(flags & MASKED), b""
         if state.answered == state.round and state.answered_model == state.digest:
             ready = state.update
             if self._masks:
                 ready = self._masked.begin(state.update, state.layout.size)
-        order = TrainingOrder(state.round, state.proximal_mu)
         tensors = state.layout.unflatten(state.model)
         return Work(state.round, state.digest, tensors, order, ready)
 
@@ -143,23 +161,17 @@ class FederatedClient:
             return work.ready
         state = self._state
         late = state is not None and state.round != work.round and not self._asynchronous
-        if state is None or late or state.answered >= work.round or not _usable(result):
+        if state is None or late or state.answered >= work.round or not _usable(result, work.order):
             return None
         if self._masks:
             return self._hide(state, work, result)
-        feedback = ErrorFeedback(self._encoding, state.layout.size)
-        feedback.residual = state.residual
-        data = feedback.encode(state.layout.flatten(result.delta))
-        update = ClientUpdate(
-            self._encoding.code,
-            work.round,
-            work.model,
-            self.id,
-            result.sample_count,
-            result.loss,
-            data,
-        )
-        state.residual = feedback.residual
+        data = b""
+        if work.order.teach:
+            feedback = ErrorFeedback(self._encoding, state.layout.size)
+            feedback.residual = state.residual
+            data = feedback.encode(state.layout.flatten(result.delta))
+            state.residual = feedback.residual
+        update = self._update(self._encoding.code, work, result, data)
         state.update = self._signer.seal(update.unsigned())
         state.answered, state.answered_model = work.round, work.model
         if self._path:
@@ -196,14 +208,26 @@ class FederatedClient:
 
     def _hide(self, state: ClientState, work: Work, result: LocalResult) -> bytes:
         """Keep the update, unsent, and begin to take part in a masked sum with it."""
-        data = Float32().encode(state.layout.flatten(result.delta))
-        count, loss = result.sample_count, result.loss
-        update = ClientUpdate(0, work.round, work.model, self.id, count, loss, data)
+        teach = work.order.teach
+        data = Float32().encode(state.layout.flatten(result.delta)) if teach else b""
+        update = self._update(Float32().code, work, result, data)
         state.update = update.unsigned() + UNSIGNED
         state.answered, state.answered_model = work.round, work.model
         if self._path:
             write_client_state(self._path, state)
         return self._masked.begin(state.update, state.layout.size)
+
+    def _update(self, encoding: int, work: Work, result: LocalResult, data: bytes) -> ClientUpdate:
+        return ClientUpdate(
+            encoding,
+            work.round,
+            work.model,
+            self.id,
+            result.sample_count if work.order.teach else 0,
+            result.loss,
+            result.gain,
+            data,
+        )
 
     def _take_whole(self, payload: bytes) -> tuple[tuple[int, ...], int]:
         model = GlobalModel.decode(payload)
@@ -218,12 +242,15 @@ class FederatedClient:
             raise PayloadError(Refusal.SHAPE, "model", found, expected)
         vector = decode_vector(model.encoding, model.data, model.layout.size)
         self._check_digest(model.layout.digest(vector, model.run), model.model)
+        self._check_not_over(model.run, model.round, model.flags)
         if state is None or state.run != model.run or state.layout != model.layout:
             nothing = np.zeros(model.layout.size, np.float32)
             state = ClientState(model.layout, model.run, 0, vector, 0, 0.0, nothing)
+        before = state.digest, state.model
         state.round, state.model, state.digest = model.round, np.array(vector), model.model
-        state.proximal_mu = model.proximal_mu
+        state.proximal_mu, state.judges = model.proximal_mu, model.judges
         self._state = state
+        self._use(state, model.approved, before)
         return model.clients, model.flags
 
     def _take_delta(self, payload: bytes) -> tuple[tuple[int, ...], int]:
@@ -234,6 +261,8 @@ class FederatedClient:
             raise PayloadError(Refusal.OTHER_MODEL, DELTA, f"round {delta.round}", expected)
         if (delta.round, delta.model) == (state.round, state.digest):
             self._verifier.check(payload, DELTA)  # told again: the update may have been lost
+            self._check_not_over(state.run, delta.round, delta.flags)
+            self._use(state, delta.approved, (0, state.model))
             return delta.clients, delta.flags
         if delta.round <= state.round:
             found = f"round {delta.round}"
@@ -245,8 +274,29 @@ class FederatedClient:
         step = decode_vector(delta.encoding, delta.data, state.layout.size)
         vector: Vector = state.model + step
         self._check_digest(state.layout.digest(vector, state.run), delta.model)
+        before = state.digest, state.model
         state.round, state.model, state.digest = delta.round, vector, delta.model
+        self._use(state, delta.approved, before)
         return delta.clients, delta.flags
+
+    def _use(self, state: ClientState, approved: int, before: tuple[int, Vector]) -> None:
+        """Take the approved model in use: the one just taken, the one before, or the one in use.
+
+        Who has it not, having joined later, uses the defaults until the next verdict.
+        """
+        if approved == state.used:
+            return
+        known = {0: state.model, before[0]: before[1], state.digest: state.model}
+        state.used = approved if approved in known else 0
+        state.used_model = known[state.used]
+        if self._path and state.used not in (0, state.digest):  # which nobody would send again
+            write_client_state(self._path, state)
+
+    def _check_not_over(self, run: int, number: int, flags: int) -> None:
+        """Refuse an announcement from before the last one, which was for the same model."""
+        if self.finished and (run, number) == self.model_of[:2] and not flags & FINAL:
+            found = f"round {number}, open"
+            raise PayloadError(Refusal.OLD_ROUND, "model", found, "its end, which was heard")
 
     @staticmethod
     def _check_digest(found: int, expected: int) -> None:
@@ -255,8 +305,8 @@ class FederatedClient:
             raise PayloadError(Refusal.OTHER_MODEL, "model", text, f"{expected:08x} as it says")
 
 
-def _usable(result: LocalResult) -> bool:
-    """Nothing learned, or nothing finite, is nothing to send."""
+def _usable(result: LocalResult, order: TrainingOrder) -> bool:
+    """Nothing learned, or nothing finite, is nothing to send; neither is a judgement of nothing."""
     arrays = result.delta.values()
     finite = all(bool(np.isfinite(a).all()) for a in arrays) and np.isfinite(result.loss)
-    return bool(finite) and result.sample_count > 0
+    return bool(finite) and (result.sample_count > 0 if order.teach else order.judge)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import json
 import zipfile
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,7 @@ from geoorbit_ros.federated.errors import FederationError
 from geoorbit_ros.federated.layout import ModelLayout, Vector
 from geoorbit_ros.storage.atomic import atomic_output
 
-FORMAT = 1
+FORMAT = 2
 _UNREADABLE = (
     OSError,
     EOFError,
@@ -42,6 +42,9 @@ class ClientState:
         answered: Round of the last update; 0: none.
         answered_model: Digest of the model it started from.
         update: That update as it was sent.
+        judges: Who judges, see `verdict.is_judge`.
+        used: Digest of the model in use, which judges approved of; 0: none is.
+        used_model: Its weights, shape (size,).
     """
 
     layout: ModelLayout
@@ -54,6 +57,9 @@ class ClientState:
     answered: int = 0
     answered_model: int = 0
     update: bytes = b""
+    judges: int = 0
+    used: int = 0
+    used_model: Vector = field(default_factory=lambda: np.zeros(0, np.float32))
 
 
 def write_client_state(path: Path, state: ClientState) -> None:
@@ -73,6 +79,8 @@ def write_client_state(path: Path, state: ClientState) -> None:
         "answered": state.answered,
         "answered_model": state.answered_model,
         "update": state.update.hex(),
+        "judges": state.judges,
+        "used": state.used,
     }
     buffer = io.BytesIO()
     np.savez(
@@ -80,6 +88,7 @@ def write_client_state(path: Path, state: ClientState) -> None:
         allow_pickle=False,
         model=state.model,
         residual=state.residual,
+        used_model=state.used_model,
         facts=np.frombuffer(json.dumps(facts).encode(), np.uint8),
     )
     with atomic_output(path) as temporary:
@@ -110,6 +119,9 @@ def read_client_state(path: Path) -> ClientState | None:
             facts["answered"],
             facts["answered_model"],
             bytes.fromhex(facts["update"]),
+            facts["judges"],
+            facts["used"],
+            arrays["used_model"],
         )
     except _UNREADABLE as error:
         raise FederationError(str(path), error, "a state of meta_client") from None

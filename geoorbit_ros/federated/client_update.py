@@ -11,15 +11,18 @@ from dataclasses import dataclass
 from geoorbit_ros.federated.envelope import SIGNATURE_BYTES, check_prefix, prefix
 from geoorbit_ros.federated.errors import PayloadError, Refusal
 
-SCHEMA, VERSION = "update", 2
+SCHEMA, VERSION = "update", 3
 _PREFIX = prefix(SCHEMA, VERSION)
-_FIELDS = struct.Struct("<BBIIIIfI")
+_FIELDS = struct.Struct("<BBIIIIffI")
 _HEADER_BYTES = len(_PREFIX) + _FIELDS.size
 
 
 @dataclass(frozen=True, slots=True)
 class ClientUpdate:
-    """See msg_defs/ClientUpdate.msg, whose fields these are."""
+    """See msg_defs/ClientUpdate.msg, whose fields these are.
+
+    Without examples (`sample_count` 0) and data it is a judge's: it says `gain`, no more.
+    """
 
     encoding: int
     round: int
@@ -27,6 +30,7 @@ class ClientUpdate:
     client: int
     sample_count: int
     loss: float
+    gain: float
     data: bytes
 
     def unsigned(self) -> bytes:
@@ -39,6 +43,7 @@ class ClientUpdate:
             self.client,
             self.sample_count,
             self.loss,
+            self.gain,
             len(self.data),
         )
         return _PREFIX + fields + self.data
@@ -56,7 +61,7 @@ class ClientUpdate:
             found = f"{len(payload)} bytes"
             expected = f"{_HEADER_BYTES + SIGNATURE_BYTES} or more"
             raise PayloadError(Refusal.TRUNCATED, SCHEMA, found, expected)
-        encoding, flags, number, model, client, samples, loss, length = _FIELDS.unpack_from(
+        encoding, flags, number, model, client, samples, loss, gain, length = _FIELDS.unpack_from(
             payload, len(_PREFIX)
         )
         if flags:
@@ -66,4 +71,4 @@ class ClientUpdate:
             found = f"{end - _HEADER_BYTES} bytes of data"
             raise PayloadError(reason, SCHEMA, found, f"the {length} it announces")
         data = payload[_HEADER_BYTES:end]
-        return cls(encoding, number, model, client, samples, loss, data)
+        return cls(encoding, number, model, client, samples, loss, gain, data)

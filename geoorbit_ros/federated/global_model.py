@@ -12,8 +12,8 @@ from geoorbit_ros.federated.envelope import SIGNATURE_BYTES, check_prefix
 from geoorbit_ros.federated.errors import PayloadError, Refusal
 from geoorbit_ros.federated.layout import ModelLayout
 
-SCHEMA, VERSION = "model", 2
-FINAL, MASKED, ASYNCHRONOUS = 1, 2, 4
+SCHEMA, VERSION = "model", 3
+FINAL, MASKED, ASYNCHRONOUS, JUDGING = 1, 2, 4, 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +26,8 @@ class GlobalModel:
     round: int
     model: int
     interface: int
+    approved: int
+    judges: int
     proximal_mu: float
     clients: tuple[int, ...]
     layout: ModelLayout
@@ -38,7 +40,8 @@ class GlobalModel:
         writer.number("H", VERSION)
         writer.number("B", self.encoding)
         writer.number("B", self.flags)
-        for number in (self.run, self.round, self.model, self.interface):
+        numbers = (self.run, self.round, self.model, self.interface, self.approved, self.judges)
+        for number in numbers:
             writer.number("I", number)
         writer.number("f", self.proximal_mu)
         writer.numbers("I", self.clients)
@@ -60,7 +63,7 @@ class GlobalModel:
         reader.text()
         reader.number("H")
         encoding, flags = reader.whole("B"), reader.whole("B")
-        run, number, model, interface = (reader.whole("I") for _ in range(4))
+        run, number, model, interface, approved, judges = (reader.whole("I") for _ in range(6))
         proximal_mu = reader.number("f")
         if not (math.isfinite(proximal_mu) and proximal_mu >= 0):
             found = f"proximal_mu {proximal_mu}"
@@ -71,7 +74,18 @@ class GlobalModel:
         reader.fixed(SIGNATURE_BYTES)
         reader.end()
         return cls(
-            encoding, flags, run, number, model, interface, proximal_mu, clients, layout, data
+            encoding,
+            flags,
+            run,
+            number,
+            model,
+            interface,
+            approved,
+            judges,
+            proximal_mu,
+            clients,
+            layout,
+            data,
         )
 
 

@@ -57,8 +57,8 @@ def run_in_process(
 
 
 def _most_announcements(server: FederatedServer) -> int:
-    """A bound: every round, each opened to all once, and the last model."""
-    return 2 * (server.config.rounds + 1) + 2
+    """A bound: every round, each opened to all once, the last model, and its verdict."""
+    return 2 * (server.config.rounds + 2) + 2
 
 
 def _receive(

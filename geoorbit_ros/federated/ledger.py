@@ -30,6 +30,10 @@ class Ledger:
         """Last round that the member's update was taken for."""
         return int(self.answered[self._row[member]])
 
+    def of(self, members: Sequence[int]) -> NDArray[np.float64]:
+        """Utility of these members, in their order."""
+        return self.utility[[self._row[member] for member in members]]
+
     def note(self, member: int, round_number: int, utility: float = float("nan")) -> None:
         """An update was taken."""
         row = self._row[member]

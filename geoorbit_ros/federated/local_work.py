@@ -18,10 +18,14 @@ class TrainingOrder:
     Attributes:
         round: The round, also to seed whatever is random: the same round gives the same update.
         proximal_mu: FedProx's penalty weight, see `strategies.fedprox.proximal_gradient`; 0: none.
+        teach: Whether to train; else the model is only to be judged.
+        judge: Whether to compare the model with the defaults.
     """
 
     round: int
     proximal_mu: float
+    teach: bool = True
+    judge: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,14 +33,16 @@ class LocalResult:
     """What local training gives back.
 
     Attributes:
-        delta: New minus old value of every tensor.
-        sample_count: Examples behind it.
+        delta: New minus old value of every tensor; of who only judges, nothing.
+        sample_count: Examples behind it; 0 of who only judges.
         loss: Composite loss of the model as it came, before training.
+        gain: What `verdict` says; NaN where nothing was compared.
     """
 
     delta: Mapping[str, NDArray[np.float32]]
     sample_count: int
     loss: float
+    gain: float = float("nan")
 
 
 Train = Callable[[Tensors, TrainingOrder], LocalResult]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from geoorbit_ros.federated.client_update import ClientUpdate
-from geoorbit_ros.federated.encodings.floats import Float32
 from geoorbit_ros.federated.errors import PayloadError, Refusal
 from geoorbit_ros.federated.keys import Signer, Verifier
 from geoorbit_ros.federated.masked_round import masked_vector
@@ -32,7 +31,7 @@ class MaskedClient:
             size: Number of weights.
         """
         update = ClientUpdate.decode(kept)
-        values = masked_vector(Float32().decode(update.data, size), update.loss)
+        values = masked_vector(update, size)
         self._participant = Participant(self._id, update.round, update.model, values)
         return self._signer.seal(self._participant.keys().unsigned())
 

@@ -8,20 +8,30 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.federated.client_update import ClientUpdate
+from geoorbit_ros.federated.encodings.floats import Float32
 from geoorbit_ros.federated.errors import FederationError
+from geoorbit_ros.federated.open_round import Outcome
 from geoorbit_ros.federated.secure_aggregation.coordinator import Coordinator
 from geoorbit_ros.federated.secure_aggregation.message import SecureMessage
-from geoorbit_ros.federated.strategies.collection import Aggregate
+from geoorbit_ros.federated.verdict import Ballot, shares
 
+EXTRA = 6
+"""Numbers behind the weights: loss, whether it teaches, and what `verdict.shares` gives."""
 LOSS_SCALE = 1e3
 """Losses travel as thousands behind the weights, so that they fit the weights' range."""
 STAGE_S = 30.0
 """Longest wait for the steps after the first, which only compute."""
 
 
-def masked_vector(delta: NDArray[np.float32], loss: float) -> NDArray[np.float32]:
-    """What a client hides: its update and its loss, shape (size + 1,)."""
-    return np.append(delta, np.float32(loss / LOSS_SCALE)).astype(np.float32)
+def masked_vector(update: ClientUpdate, size: int) -> NDArray[np.float32]:
+    """What a client hides: its weights, its loss, its gain; shape (size + EXTRA,)."""
+    extra = [0.0, 0.0, *shares(update.gain)]
+    delta = np.zeros(size, np.float32)
+    if update.sample_count:
+        delta = Float32().decode(update.data, size)
+        extra[:2] = [update.loss / LOSS_SCALE, 1.0]
+    return np.append(delta, np.array(extra, np.float32)).astype(np.float32)
 
 
 class MaskedRound:
@@ -47,7 +57,7 @@ class MaskedRound:
     ) -> None:
         self._at_least = at_least
         session = secrets.randbelow(2**32 - 1) + 1
-        self.coordinator = Coordinator(expected, round_number, model, session, size + 1, limit)
+        self.coordinator = Coordinator(expected, round_number, model, session, size + EXTRA, limit)
 
     @property
     def number(self) -> int:
@@ -68,14 +78,18 @@ class MaskedRound:
         """
         return self.coordinator.advance()
 
-    def result(self) -> tuple[Aggregate, float]:
-        """Mean update, shape (size,), and mean loss; every client counts the same.
+    def outcome(self) -> Outcome:
+        """What the clients' vectors add up to; every client counts the same.
 
         Raises:
             FederationError: Shares that fit no secret.
         """
-        survivors = len(self.coordinator.survivors)
-        if survivors == 0:
+        if not self.coordinator.survivors:
             raise FederationError("secure aggregation", "no survivors", "clients enough")
-        mean = self.coordinator.total() / survivors
-        return mean[:-1], float(mean[-1]) * LOSS_SCALE
+        total = self.coordinator.total()
+        weights, (loss, count, *sums) = total[:-EXTRA], total[-EXTRA:].tolist()
+        teachers = round(count)
+        ballot = Ballot.of_sums(sums)
+        if teachers == 0:
+            return Outcome(np.zeros_like(weights), float("nan"), 0, ballot)
+        return Outcome(weights / teachers, loss / teachers * LOSS_SCALE, teachers, ballot)

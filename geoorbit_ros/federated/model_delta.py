@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from geoorbit_ros.federated.cdr import CdrReader, CdrWriter
 from geoorbit_ros.federated.envelope import SIGNATURE_BYTES, check_prefix
 
-SCHEMA, VERSION = "delta", 1
+SCHEMA, VERSION = "delta", 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,6 +19,7 @@ class ModelDelta:
     round: int
     base: int
     model: int
+    approved: int
     clients: tuple[int, ...]
     data: bytes
 
@@ -29,7 +30,7 @@ class ModelDelta:
         writer.number("H", VERSION)
         writer.number("B", self.encoding)
         writer.number("B", self.flags)
-        for number in (self.round, self.base, self.model):
+        for number in (self.round, self.base, self.model, self.approved):
             writer.number("I", number)
         writer.numbers("I", self.clients)
         writer.data(self.data)
@@ -47,9 +48,9 @@ class ModelDelta:
         reader.text()
         reader.number("H")
         encoding, flags = reader.whole("B"), reader.whole("B")
-        number, base, model = (reader.whole("I") for _ in range(3))
+        number, base, model, approved = (reader.whole("I") for _ in range(4))
         clients = tuple(reader.numbers("I").tolist())
         data = reader.data()
         reader.fixed(SIGNATURE_BYTES)
         reader.end()
-        return cls(encoding, flags, number, base, model, clients, data)
+        return cls(encoding, flags, number, base, model, approved, clients, data)

@@ -1,12 +1,34 @@
-"""The updates of the open round, on their way to one aggregate."""
+"""The updates of the open round, on their way to one aggregate, and what judges say."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
 
 from geoorbit_ros.federated.client_update import ClientUpdate
 from geoorbit_ros.federated.layout import Vector
 from geoorbit_ros.federated.strategies.collection import Aggregate, Collection
+from geoorbit_ros.federated.verdict import Ballot
 
 _LOSS_BITS = 40
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What comes of a round.
+
+    Attributes:
+        aggregate: Aggregated update of those who teach, shape (size,); zeros without any.
+        loss: Their mean loss, by number of examples; NaN without any.
+        teachers: How many they are.
+        ballot: What all gains of the round's model add up to.
+    """
+
+    aggregate: Aggregate
+    loss: float
+    teachers: int
+    ballot: Ballot
 
 
 class OpenRound:
@@ -14,11 +36,17 @@ class OpenRound:
 
     Args:
         collection: The strategy's.
+        size: Number of weights.
+
+    Attributes:
+        ballot: Gains of the open round's model.
+        heard: Clients that only judged, abstentions included.
     """
 
-    def __init__(self, collection: Collection) -> None:
-        self._collection = collection
+    def __init__(self, collection: Collection, size: int) -> None:
+        self._collection, self._size = collection, size
         self._loss_sum = self._loss_weight = 0
+        self.ballot, self.heard = Ballot(), 0
 
     @property
     def number(self) -> int:
@@ -32,7 +60,14 @@ class OpenRound:
         self._loss_sum += round(update.loss * 2**_LOSS_BITS) * update.sample_count
         self._loss_weight += update.sample_count
 
-    def result(self) -> tuple[Aggregate, float]:
-        """The aggregate, shape (size,), and the mean loss by number of examples."""
+    def judge(self, update: ClientUpdate) -> None:
+        """Take the word of a client that only judges."""
+        self.ballot.add(update.gain)
+        self.heard += 1
+
+    def outcome(self) -> Outcome:
+        """What the updates and judgements so far come to."""
+        if self.number == 0:
+            return Outcome(np.zeros(self._size), float("nan"), 0, self.ballot)
         loss = self._loss_sum / self._loss_weight / 2**_LOSS_BITS
-        return self._collection.result(), loss
+        return Outcome(self._collection.result(), loss, self.number, self.ballot)

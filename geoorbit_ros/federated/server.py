@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,13 +13,14 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.federated.admission import Admission
 from geoorbit_ros.federated.announcer import Announcer
+from geoorbit_ros.federated.client_update import ClientUpdate
 from geoorbit_ros.federated.errors import FederationError, PayloadError, Refusal
-from geoorbit_ros.federated.global_model import ASYNCHRONOUS, FINAL, MASKED
+from geoorbit_ros.federated.global_model import ASYNCHRONOUS, FINAL, JUDGING, MASKED
 from geoorbit_ros.federated.keys import Roster, Signer
-from geoorbit_ros.federated.layout import ModelLayout, Tensors
+from geoorbit_ros.federated.layout import ModelLayout, Tensors, Vector
 from geoorbit_ros.federated.ledger import Ledger
 from geoorbit_ros.federated.masked_round import STAGE_S, MaskedRound
-from geoorbit_ros.federated.open_round import OpenRound
+from geoorbit_ros.federated.open_round import OpenRound, Outcome
 from geoorbit_ros.federated.privacy import clipped, normal_noise
 from geoorbit_ros.federated.selection import make_selection
 from geoorbit_ros.federated.server_config import ServerConfig, check_settings
@@ -28,9 +30,9 @@ from geoorbit_ros.federated.server_state import (
     read_checkpoint,
     write_checkpoint,
 )
-from geoorbit_ros.federated.strategies.collection import Aggregate
 from geoorbit_ros.federated.strategies.fedavg import FedAvg
 from geoorbit_ros.federated.strategies.strategy import Strategy
+from geoorbit_ros.federated.verdict import NOBODY_ASKED, Verdict, is_judge, is_teacher
 
 
 class FederatedServer:
@@ -41,6 +43,9 @@ class FederatedServer:
     most one payload. All that a round's result depends on is in its checkpoint, which is written
     before the result is announced: killed at any moment and started again, the server announces
     the open round once more, clients send their updates once more, and the result is the same.
+
+    Judges say of each round's model whether it serves them better than the defaults (`verdict`);
+    the next announcement carries the verdict. After the last round they judge the final model.
 
     Usage::
 
@@ -79,6 +84,8 @@ class FederatedServer:
     ) -> None:
         self.config, self.layout = config, ModelLayout.of(tensors)
         self._members = tuple(roster)
+        self._teachers = tuple(m for m in self._members if is_teacher(m, config.judges))
+        self._judges = tuple(m for m in self._members if is_judge(m, config.judges))
         self._strategy = strategy or FedAvg()
         self._asynchronous = self._strategy.buffer_size > 0
         self._selection = make_selection(config.selection, config.seed)
@@ -91,7 +98,8 @@ class FederatedServer:
             signer or Signer(None, config.federation),
             self._strategy.proximal_mu,
         )
-        check_settings(config, self._strategy, len(self._members))
+        counts = (len(m) for m in (self._members, self._teachers, self._judges))
+        check_settings(config, self._strategy, *counts)
         self._checkpoint = checkpoint
         first = self.layout.flatten(tensors)
         ledger = Ledger(self._members)
@@ -102,9 +110,9 @@ class FederatedServer:
         self.accepted = 0
         self.refused: Counter[Refusal] = Counter()
         self._selected: frozenset[int] = frozenset()
-        self._wanted = len(self._members)
+        self._wanted = len(self._teachers)
         self._opened_s = self._deadline_s = 0.0
-        self._round = OpenRound(self._strategy.collection(self.layout.size))
+        self._round = self._new_round()
         self._masked: MaskedRound | None = None
 
     @property
@@ -129,13 +137,21 @@ class FederatedServer:
 
     @property
     def finished(self) -> bool:
-        """Whether training is over."""
+        """Whether training is over, and its model judged."""
         return self._state.finished
 
     @property
     def history(self) -> tuple[RoundRecord, ...]:
         """What came of the rounds so far."""
         return tuple(self._state.history)
+
+    @property
+    def verdict(self) -> Verdict:
+        """What judges said of the last model that they judged."""
+        last = next((r for r in reversed(self._state.history) if r.judges), None)
+        if last is None:
+            return NOBODY_ASKED if not self._judges else Verdict(False, math.nan, math.nan, 0)
+        return Verdict(last.approved, last.gain, last.gain_error, last.judges)
 
     @property
     def selected(self) -> frozenset[int]:
@@ -146,6 +162,11 @@ class FederatedServer:
     def collected(self) -> int:
         """Updates of the open round so far; under masks, clients heard at its open step."""
         return self._masked.number if self._masked else self._round.number
+
+    @property
+    def judged(self) -> int:
+        """Clients that only judge heard so far in the open round; under masks none can be told."""
+        return self._round.heard
 
     @property
     def latched(self) -> tuple[bytes, ...]:
@@ -183,17 +204,9 @@ class FederatedServer:
         except PayloadError as error:
             self.refused[error.reason] += 1
             raise
-        if self.config.noise_multiplier:
-            weight, vector = 1.0, clipped(vector, self.config.clip_norm)
-        else:
-            weight = self._strategy.weight(update.sample_count, self.round - update.round)
-        self._round.add(update, vector, weight)
-        utility = abs(update.loss) * math.sqrt(update.sample_count)
-        self._state.ledger.note(update.client, update.round, utility)
+        self._take(update, vector)
         self.accepted += 1
-        if self.collected < self._wanted:
-            return None
-        return self._close(self._round.result(), self.collected, now_s)
+        return self._close(self._round.outcome(), now_s) if self._complete else None
 
     def tick(self, now_s: float) -> bytes | None:
         """Look at the time.
@@ -202,26 +215,55 @@ class FederatedServer:
             The next payload for all clients, when a deadline has passed: that of the next round or
             step if there is a quorum, else this round's again, now open to all.
         """
-        waits_for_time = not (self.finished or self._asynchronous)
+        waits_for_time = not self.finished and (self._state.trained or not self._asynchronous)
         if not waits_for_time or now_s < self._deadline_s:
             return None
         if self._masked is not None:
             return self._advance_masked(self._masked, now_s)
-        if self.collected >= self._quorum():
-            return self._close(self._round.result(), self.collected, now_s)
+        heard = self.judged if self._state.trained else self.collected
+        if heard >= self._quorum():
+            return self._close(self._round.outcome(), now_s)
         return self._again(now_s)
+
+    def _take(self, update: ClientUpdate, vector: Vector | None) -> None:
+        """Add an update that was admitted, or a judgement, to the open round."""
+        ledger = self._state.ledger
+        if vector is None:
+            self._round.judge(update)
+            ledger.note(update.client, update.round)
+            return
+        if self.config.noise_multiplier:
+            weight, vector = 1.0, clipped(vector, self.config.clip_norm)
+        else:
+            weight = self._strategy.weight(update.sample_count, self.round - update.round)
+        self._round.add(update, vector, weight)
+        if update.round == self.round and is_judge(update.client, self.config.judges):
+            self._round.ballot.add(update.gain)
+        ledger.note(update.client, update.round, abs(update.loss) * math.sqrt(update.sample_count))
+
+    @property
+    def _complete(self) -> bool:
+        """Whether everybody was heard who is waited for."""
+        if self._state.trained:
+            return self.judged >= len(self._judges)
+        apart = len(self._judges) if self.config.judges > 1 and not self._asynchronous else 0
+        return self.collected >= self._wanted and self.judged >= apart
+
+    def _new_round(self) -> OpenRound:
+        return OpenRound(self._strategy.collection(self.layout.size), self.layout.size)
 
     def _open(self, now_s: float) -> tuple[int, ...]:
         """Begin to collect for the open round; its clients, none for all."""
         number = self.config.clients_per_round
         chosen: tuple[int, ...] = ()
-        if 0 < number < len(self._members) and not (self._asynchronous or self.finished):
-            utility = self._state.ledger.utility
-            chosen = self._selection.choose(self._members, number, self.round, utility)
+        free = self._asynchronous or self._state.trained
+        if 0 < number < len(self._teachers) and not free:
+            utility = self._state.ledger.of(self._teachers)
+            chosen = self._selection.choose(self._teachers, number, self.round, utility)
         self._selected = frozenset(chosen)
         # Stays when the round is opened to all: then anybody may stand in for the silent ones.
-        self._wanted = self._strategy.buffer_size or len(chosen) or len(self._members)
-        self._round = OpenRound(self._strategy.collection(self.layout.size))
+        self._wanted = self._strategy.buffer_size or len(chosen) or len(self._teachers)
+        self._round = self._new_round()
         self._opened_s = now_s
         self._wait(now_s, chosen)
         return chosen
@@ -232,8 +274,10 @@ class FederatedServer:
         if not self.config.secure_aggregation or self.finished:
             self._masked = None
             return
+        apart = self._judges if self.config.judges > 1 else ()
+        expected = {*clients, *apart} if clients else self._members
         self._masked = MaskedRound(
-            clients or self._members,
+            self._judges if self._state.trained else expected,
             self._quorum(),
             self.round,
             self._state.digests[self.round],
@@ -248,7 +292,8 @@ class FederatedServer:
         return self._announcer.repeat(self._state, (), self._flags)
 
     def _quorum(self) -> int:
-        return max(1, math.ceil(self.config.quorum * self._wanted))
+        wanted = len(self._judges) if self._state.trained else self._wanted
+        return max(1, math.ceil(self.config.quorum * wanted))
 
     def _receive_masked(self, masked: MaskedRound, payload: bytes, now_s: float) -> bytes | None:
         message = self._admission.admit_masked(payload, self._state, self._selected)
@@ -265,31 +310,58 @@ class FederatedServer:
             self._deadline_s = now_s + min(self.config.deadline_s, STAGE_S)
             return self._announcer.seal(message.unsigned())
         try:
-            result = masked.result()
+            outcome = masked.outcome()
         except FederationError:  # a client lied about its shares: without this attempt, then
             return self._again(now_s)
-        return self._close(result, len(masked.coordinator.survivors), now_s)
+        if outcome.teachers == 0 and not self._state.trained:
+            return self._again(now_s)
+        return self._close(outcome, now_s)
 
-    def _close(self, result: tuple[Aggregate, float], number: int, now_s: float) -> bytes:
-        """Make the next model, keep it, announce it."""
-        state, config = self._state, self.config
-        aggregate, loss = result
+    def _close(self, outcome: Outcome, now_s: float) -> bytes:
+        """Note the verdict, make the next model, keep it, announce it."""
+        state = self._state
+        self._record(outcome, now_s)
+        if state.trained:
+            state.finished = True
+            self._save()
+            self._open(now_s)
+            return self._announcer.again(state, self._flags)
+        self._advance(outcome)
+        self._save()
+        return self._announcer.announce(state, self._open(now_s), self._flags)
+
+    def _record(self, outcome: Outcome, now_s: float) -> None:
+        """Keep what came of the round; without two judges the last verdict stands."""
+        state, seconds = self._state, now_s - self._opened_s
+        record = RoundRecord(state.round, outcome.teachers, outcome.loss, seconds)
+        verdict = outcome.ballot.verdict()
+        if verdict is not None:
+            state.approved = state.digests[state.round] if verdict.accepted else 0
+            record = replace(
+                record,
+                judges=verdict.judges,
+                gain=verdict.gain,
+                gain_error=verdict.error,
+                approved=verdict.accepted,
+            )
+        state.history.append(record)
+
+    def _advance(self, outcome: Outcome) -> None:
+        """Make the next model."""
+        state, config, aggregate = self._state, self.config, outcome.aggregate
         if config.noise_multiplier:
             noise = normal_noise(state.secret, state.round, self.layout.size)
-            spread = config.noise_multiplier * config.clip_norm / number
+            spread = config.noise_multiplier * config.clip_norm / outcome.teachers
             aggregate = aggregate + spread * noise
         change = self._strategy.step(aggregate)
         state.model = (state.model + change).astype(np.float32)
         state.optimiser = self._strategy.state()
-        seconds = now_s - self._opened_s
-        state.history.append(RoundRecord(state.round, number, loss, seconds))
         state.round += 1
-        state.finished = state.round > config.rounds or loss <= config.target_loss
+        state.trained = state.round > config.rounds or outcome.loss <= config.target_loss
+        state.finished = state.trained and not self._judges
         self._announcer.advance(state)
         oldest = state.round - config.max_staleness - 1
         state.digests = {n: digest for n, digest in state.digests.items() if n >= oldest}
-        self._save()
-        return self._announcer.announce(state, self._open(now_s), self._flags)
 
     def _save(self) -> None:
         if self._checkpoint is not None:
@@ -297,6 +369,6 @@ class FederatedServer:
 
     @property
     def _flags(self) -> int:
-        final = FINAL if self.finished else 0
+        final = FINAL if self.finished else JUDGING if self._state.trained else 0
         masked = MASKED if self.config.secure_aggregation else 0
         return final | masked | (ASYNCHRONOUS if self._asynchronous else 0)

@@ -12,6 +12,7 @@ from geoorbit_ros.federated.secure_aggregation.coordinator import MIN_CLIENTS
 from geoorbit_ros.federated.selection import SELECTIONS
 from geoorbit_ros.federated.strategies.robust import RobustStrategy
 from geoorbit_ros.federated.strategies.strategy import Strategy
+from geoorbit_ros.federated.verdict import MIN_JUDGES
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +28,8 @@ class ServerConfig:
             this: the paper's threshold lambda. NaN: never.
         clients_per_round: Clients selected for a round; 0: all.
         selection: How, see `selection.py`.
+        judges: Who judges the model before it is used, see `verdict.is_judge`. 0: nobody, and every
+            model is used as it comes.
         quorum: Share of the selected clients whose updates suffice at the deadline.
         deadline_s: Longest time for a round. One without a quorum is opened to all clients, and
             goes on until there is one.
@@ -43,7 +46,7 @@ class ServerConfig:
         clip_norm: With noise, longer updates are cut to this length, and all count the same.
         noise_multiplier: Noise on the sum of updates, in `clip_norm`; 0: none. See `privacy`.
         secure_aggregation: Take updates under masks only; then all count the same.
-        masked_range: Under masks, larger changes of a weight are cut to this.
+        masked_range: Under masks, larger changes of a weight are cut to this; at least 1.
 
     Raises:
         FederationError: A setting out of range.
@@ -55,6 +58,7 @@ class ServerConfig:
     target_loss: float = field(default=float("nan"))
     clients_per_round: int = 0
     selection: str = "random"
+    judges: int = 0
     quorum: float = 0.5
     deadline_s: float = 600.0
     max_staleness: int = 20
@@ -76,6 +80,7 @@ class ServerConfig:
             ("run", 0, 2**32 - 1),
             ("rounds", 1, 2**31),
             ("clients_per_round", 0, 1 << 16),
+            ("judges", 0, 1 << 16),
             ("quorum", 0.0, 1.0),
             ("deadline_s", 1e-3, 1e9),
             ("max_staleness", 0, 10_000),
@@ -85,7 +90,7 @@ class ServerConfig:
             ("interface", 0, 2**32 - 1),
             ("clip_norm", 1e-9, 1e9),
             ("noise_multiplier", 0.0, 1e6),
-            ("masked_range", 1e-6, 1e6),
+            ("masked_range", 1.0, 1e6),
         ):
             value = getattr(self, name)
             if not low <= value <= high:
@@ -112,8 +117,17 @@ class ServerConfig:
         return make_encoding(self.encoding, self.top_k_share, self.top_k_bits)
 
 
-def check_settings(config: ServerConfig, strategy: Strategy, clients: int) -> None:
+def check_settings(
+    config: ServerConfig, strategy: Strategy, clients: int, teachers: int, judges: int
+) -> None:
     """Refuse settings that exclude each other.
+
+    Args:
+        config: Settings of the server.
+        strategy: Its strategy.
+        clients: Cameras on the roster.
+        teachers: How many of them teach.
+        judges: How many of them judge.
 
     Raises:
         FederationError: Naming both.
@@ -125,3 +139,8 @@ def check_settings(config: ServerConfig, strategy: Strategy, clients: int) -> No
     if config.secure_aggregation and clients < MIN_CLIENTS:
         found = f"{clients} cameras"
         raise FederationError("secure aggregation", found, f"{MIN_CLIENTS} or more")
+    if teachers == 0:
+        raise FederationError("server setting 'judges'", config.judges, "somebody left to teach")
+    least = MIN_CLIENTS if config.secure_aggregation else MIN_JUDGES
+    if config.judges > 1 and judges < least:
+        raise FederationError("server setting 'judges'", f"{judges} judges", f"{least} or more")

@@ -19,7 +19,7 @@ from geoorbit_ros.federated.layout import ModelLayout, Vector
 from geoorbit_ros.federated.ledger import Ledger
 from geoorbit_ros.storage.atomic import atomic_output
 
-FORMAT = 1
+FORMAT = 2
 _UNREADABLE = (
     OSError,
     EOFError,
@@ -41,12 +41,20 @@ class RoundRecord:
         loss: Mean loss that they report, weighted as the updates are.
         seconds: From its announcement to its end; not a number when the server was restarted
             meanwhile.
+        judges: How many judged the model that it started from.
+        gain: Their mean gain (`verdict.Verdict`); NaN with fewer than two.
+        gain_error: Its standard error.
+        approved: Whether they approved of it.
     """
 
     round: int
     updates: int
     loss: float
     seconds: float
+    judges: int = 0
+    gain: float = float("nan")
+    gain_error: float = float("nan")
+    approved: bool = False
 
 
 @dataclass(slots=True)
@@ -56,7 +64,9 @@ class ServerState:
     Attributes:
         run: When the federation began.
         round: The open round; one more than the last when training is over.
-        finished: Whether training is over.
+        trained: Whether training is over; the last model may still have to be judged.
+        finished: Whether everything is over.
+        approved: Digest of the newest model that judges approved of; 0: none.
         model: The model as the server has it, shape (size,).
         published: The model as the clients have it: they differ by what encodings lose.
         optimiser: State of the strategy.
@@ -71,7 +81,9 @@ class ServerState:
     published: Vector
     ledger: Ledger
     round: int = 1
+    trained: bool = False
     finished: bool = False
+    approved: int = 0
     optimiser: dict[str, NDArray[np.float64]] = field(default_factory=dict)
     digests: dict[int, int] = field(default_factory=dict)
     history: list[RoundRecord] = field(default_factory=list)
@@ -90,7 +102,9 @@ def write_checkpoint(path: Path, layout: ModelLayout, state: ServerState) -> Non
         "shapes": layout.shapes,
         "run": state.run,
         "round": state.round,
+        "trained": state.trained,
         "finished": state.finished,
+        "approved": state.approved,
         "history": [list(asdict(record).values()) for record in state.history],
         "secret": state.secret.hex(),
     }
@@ -152,7 +166,9 @@ def _state(
         model=arrays["model"].astype(np.float32),
         published=arrays["published"].astype(np.float32),
         round=int(str(facts["round"])),
+        trained=bool(facts["trained"]),
         finished=bool(facts["finished"]),
+        approved=int(str(facts["approved"])),
         optimiser={k[len(prefix) :]: v for k, v in arrays.items() if k.startswith(prefix)},
         ledger=ledger,
         digests={k: int(v) for k, v in zip(*_rows(arrays["digests"]), strict=True)},

@@ -10,7 +10,7 @@ from geoorbit_ros.federated.cdr import CdrReader, CdrWriter
 from geoorbit_ros.federated.envelope import SIGNATURE_BYTES, check_prefix
 from geoorbit_ros.federated.errors import PayloadError, Refusal
 
-SCHEMA, VERSION = "theta", 2
+SCHEMA, VERSION = "theta", 3
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,52 +1,64 @@
-"""Whether a trained model is used at all: only if cameras it hasn't learned from are better off."""
+"""What judges say of a model: how much better or worse than the defaults each camera is with it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
+from geoorbit_ros.federated.keys import client_id
+from geoorbit_ros.federated.verdict import (
+    NOBODY_ASKED,
+    Ballot,
+    Verdict,
+    is_judge,
+    is_teacher,
+    judge_divisor,
+)
+from geoorbit_ros.learning.meta_learner import MetaLearner
 from geoorbit_ros.learning.parameter_search import log_loss
 from geoorbit_ros.metrics.composite import LaneLosses
 
-STANDARD_ERRORS = 2.0
+JUDGE_EVERY = 4
+"""One in so many seen cameras is a judge."""
 
 
 @dataclass(frozen=True, slots=True)
-class Acceptance:
-    """What the judges say.
+class Jury:
+    """The cameras that judge.
 
     Attributes:
-        accepted: Whether the model is used.
-        gain: Mean over the judges of ln(L_total with the model / L_total with the defaults);
-            negative is better. NaN without judges.
-        error: Standard error of that mean.
+        names: Their names.
+        divisor: Who they are, as `federated.verdict.is_judge` has it.
+        gains: Their gains with a model, in the order of `names`.
     """
 
-    accepted: bool
-    gain: float
-    error: float
+    names: tuple[str, ...]
+    divisor: int
+    gains: Callable[[MetaLearner], list[float]]
+
+    def verdict(self, learner: MetaLearner) -> Verdict:
+        """What they say of a model."""
+        return verdict_of(self.gains(learner))
 
 
-NOBODY_ASKED = Acceptance(True, float("nan"), float("nan"))
+def gains_of(model: Sequence[LaneLosses], fixed: Sequence[LaneLosses]) -> list[float]:
+    """ln(L_total + 1) with a model minus the same with the defaults, camera by camera."""
+    return [log_loss(new) - log_loss(old) for new, old in zip(model, fixed, strict=True)]
 
 
-def acceptance(model: Sequence[LaneLosses], fixed: Sequence[LaneLosses]) -> Acceptance:
-    """Compare a model with the defaults, camera by camera.
+def verdict_of(gains: Sequence[float]) -> Verdict:
+    """The verdict; with fewer than two judges nothing can be said, and the model is used."""
+    return Ballot.of(gains).verdict() or NOBODY_ASKED
 
-    It is accepted when its mean gain is more than `STANDARD_ERRORS` standard errors away from
-    none. What can't be told from chance is not worth leaving the defaults for.
 
-    Args:
-        model: Losses of the judges with the model.
-        fixed: The same cameras' losses with the default parameters. With fewer than two of them
-            nothing can be said, and the model is taken as it is.
+def roles(camera_ids: Sequence[str]) -> tuple[int, frozenset[str], frozenset[str]]:
+    """Who teaches and who judges among cameras, by the rule of the federation.
+
+    Returns:
+        The divisor, teachers, and judges; in a small fleet everybody is both.
     """
-    if len(fixed) < 2:
-        return NOBODY_ASKED
-    change = np.array(
-        [log_loss(new) - log_loss(old) for new, old in zip(model, fixed, strict=True)]
-    )
-    gain, error = float(change.mean()), float(change.std(ddof=1) / np.sqrt(len(change)))
-    return Acceptance(gain + STANDARD_ERRORS * error < 0.0, gain, error)
+    numbers = {name: client_id(name, None) for name in camera_ids}
+    divisor = judge_divisor(numbers.values(), JUDGE_EVERY)
+    teachers = frozenset(name for name, number in numbers.items() if is_teacher(number, divisor))
+    judges = frozenset(name for name, number in numbers.items() if is_judge(number, divisor))
+    return divisor, teachers, judges

@@ -16,7 +16,8 @@ from geoorbit_ros.federated.local_work import LocalResult, TrainingOrder
 from geoorbit_ros.learning.camera_task import CameraTask
 from geoorbit_ros.learning.meta_learner import MetaLearner
 from geoorbit_ros.learning.objective import Objective
-from geoorbit_ros.learning.parameter_search import search_theta
+from geoorbit_ros.learning.parameter_search import log_loss, search_theta
+from geoorbit_ros.learning.parameter_space import DEFAULT_UNIT
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,11 +26,12 @@ class Lesson:
 
     Attributes:
         result: For the client.
-        best_theta: (P,) theta* of the observation, in the unit cube: found once, used every round.
+        best_theta: (P,) theta* of the observation, in the unit cube: found once, used every round;
+            None where it was not needed yet.
     """
 
     result: LocalResult
-    best_theta: NDArray[np.float64]
+    best_theta: NDArray[np.float64] | None
 
 
 def end_with_parent() -> None:
@@ -54,25 +56,32 @@ def learn_from_camera(
 ) -> Lesson:
     """Detect lanes with the model's theta, search for a better one, step towards it.
 
+    Who judges also compares with the defaults; who only judges does no more than that.
+
     Args:
         task: The observation and its reference lanes; at least one.
         estimator: A name of `lanes.factory`.
         tensors: The global model.
-        order: Round and FedProx's penalty.
+        order: What to do, the round, and FedProx's penalty.
         best_theta: theta* of the same observation where it is known; None: search for it, which
             runs the estimator over a hundred times.
     """
+    objective = Objective(task, estimator, task.supervision)
+    losses = objective.losses(MetaLearner.from_tensors(tensors).predict_unit(task.features))
+    gain = float("nan")
+    if order.judge:
+        gain = log_loss(losses) - log_loss(objective.losses(DEFAULT_UNIT))
+    if not order.teach:
+        return Lesson(LocalResult({}, 0, losses.total, gain), best_theta)
     from geoorbit_ros.learning.local_training import Examples, train_locally  # imports torch
 
-    objective = Objective(task, estimator, task.supervision)
-    predicted = MetaLearner.from_tensors(tensors).predict_unit(task.features)
     if best_theta is None:
         best_theta = search_theta(objective).theta
     examples = Examples(task.features[None], best_theta[None])
     delta, count, _ = train_locally(
         tensors, examples, proximal=order.proximal_mu, seed=_seed(task.camera_id, order)
     )
-    return Lesson(LocalResult(delta, count, objective.total(predicted)), best_theta)
+    return Lesson(LocalResult(delta, count, losses.total, gain), best_theta)
 
 
 def _seed(camera_id: str, order: TrainingOrder) -> int:

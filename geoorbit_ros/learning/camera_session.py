@@ -1,9 +1,10 @@
-"""A camera in a federation: observes, predicts theta, trains when asked to. Free of ROS."""
+"""A camera in a federation: observes, predicts theta, trains or judges when asked. Free of ROS."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from concurrent.futures import Executor, Future
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from geoorbit_ros.federated.client import FederatedClient, Work
 from geoorbit_ros.federated.global_model import interface_digest
 from geoorbit_ros.federated.keys import Signer
 from geoorbit_ros.federated.theta import ThetaPayload
+from geoorbit_ros.lanes.parameters import LaneParameters
 from geoorbit_ros.learning.camera_learning import Lesson, learn_from_camera
 from geoorbit_ros.learning.camera_task import CameraTask
 from geoorbit_ros.learning.features import FEATURE_NAMES, scene_features
@@ -44,9 +46,9 @@ class CameraSession:
 
     Attributes:
         reference: Reference lanes by number, from the map.
-        learner: Predicts until the server's model comes; None: nothing does.
+        learner: Predicts while judges approve of no model of the server; None: the defaults.
         observations: How many were completed.
-        trained: Rounds that were trained for.
+        trained: Rounds that were trained or judged for.
     """
 
     def __init__(
@@ -120,6 +122,7 @@ class CameraSession:
             "round": number,
             "answered": self.client.answered,
             "finished": self.client.finished,
+            "model_in_use": f"{self.client.used:08x}" if self.client.used else "none",
             "observations": self.observations,
             "reference_lanes": len(self.reference),
             "trained": self.trained,
@@ -157,18 +160,24 @@ class CameraSession:
         return None
 
     def theta(self) -> bytes | None:
-        """The payload with theta for the newest model and observation; None when it is known."""
-        tensors, features = self.client.tensors, self._features
+        """The payload with theta for the model in use and this observation; None when it is known.
+
+        Where judges approve of no model that this camera has, theta is `learner`'s, or else the
+        defaults.
+        """
+        tensors, features = self.client.used_tensors, self._features
         learner = MetaLearner.from_tensors(tensors) if tensors else self.learner
-        if learner is None or features is None:
+        heard = self.client.tensors is not None
+        if features is None or (learner is None and not heard):
             return None
-        run, number, model = self.client.model_of
-        state = (model, id(features))
-        if self._predicted == state:
+        parameters = learner.predict(features) if learner else LaneParameters()
+        known = (self.client.used, parameters)
+        if self._predicted == known:
             return None
-        self._predicted = state
-        values: Mapping[str, float] = _values(learner, features)
-        theta = ThetaPayload(self.client.camera_id, run, number, model, values)
+        self._predicted = known
+        run, number, _ = self.client.model_of
+        values = asdict(parameters)
+        theta = ThetaPayload(self.client.camera_id, run, number, self.client.used, values)
         return self._signer.seal(theta.unsigned())
 
     def _finish(self, work: Work, made_of: object, future: Future[Lesson]) -> bytes | None:
@@ -183,7 +192,8 @@ class CameraSession:
             place = f"training of round {work.round}"
             raise GeoOrbitError(place, repr(error), "an update") from error
         assert isinstance(made_of, tuple)
-        self._best = (made_of[0], lesson.best_theta)
+        if lesson.best_theta is not None:
+            self._best = (made_of[0], lesson.best_theta)
         self.trained += 1
         return self.client.finish(work, lesson.result)
 
@@ -195,8 +205,3 @@ def starting_learner(model_file: str, seed: int) -> MetaLearner:
         InputFileError: A file that holds none.
     """
     return load_model(Path(model_file)) if model_file else MetaLearner.untrained(seed)
-
-
-def _values(learner: MetaLearner, features: NDArray[np.float64]) -> Mapping[str, float]:
-    parameters = learner.predict(features)
-    return {name: float(getattr(parameters, name)) for name in learner.parameter_names}

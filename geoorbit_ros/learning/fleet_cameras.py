@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import InputFileError
+from geoorbit_ros.learning.acceptance import roles
 from geoorbit_ros.learning.camera_task import load_task, save_task
 from geoorbit_ros.learning.fleet import Fleet, Split, scene_task
 from geoorbit_ros.learning.local_training import Examples
@@ -27,9 +28,6 @@ from geoorbit_ros.learning.workers import Progress, quiet, spread, watched
 from geoorbit_ros.storage.atomic import atomic_output
 
 Array = NDArray[np.float64]
-
-JUDGES = 4
-"""One in so many seen cameras is a judge."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,13 +127,16 @@ def examples_of(cameras: list[FleetCamera], best: dict[str, SearchResult]) -> di
 def teachers_and_judges(
     cameras: list[FleetCamera],
 ) -> tuple[list[FleetCamera], list[FleetCamera]]:
-    """The seen cameras, split: the last quarter only judges whether learning has brought anything.
+    """The seen cameras, split: about a quarter only judges whether learning has brought anything.
 
-    Cameras of a fleet are in no order, so the last ones are as good as any.
+    In a fleet of fewer than eight, everybody teaches and judges (`acceptance.roles`).
     """
-    seen = [camera for camera in cameras if camera.split == "seen"]
-    judges = len(seen) // JUDGES
-    return seen[: len(seen) - judges], seen[len(seen) - judges :]
+    seen = {camera.camera_id: camera for camera in cameras if camera.split == "seen"}
+    _, teachers, judges = roles(list(seen))
+    return (
+        [camera for name, camera in seen.items() if name in teachers],
+        [camera for name, camera in seen.items() if name in judges],
+    )
 
 
 def _make(fleet: Fleet, job: tuple[str, int, Path]) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import InputFileError
-from geoorbit_ros.learning.acceptance import acceptance
+from geoorbit_ros.learning.acceptance import Jury, gains_of, roles
 from geoorbit_ros.learning.fleet import Fleet, load_fleet
 from geoorbit_ros.learning.fleet_cameras import (
     FleetCamera,
@@ -21,9 +21,11 @@ from geoorbit_ros.learning.fleet_cameras import (
     teachers_and_judges,
 )
 from geoorbit_ros.learning.history import Round, save_history
+from geoorbit_ros.learning.local_training import Examples
 from geoorbit_ros.learning.loss_table import LossTable
 from geoorbit_ros.learning.meta_learner import MetaLearner
 from geoorbit_ros.learning.model_file import save_model
+from geoorbit_ros.learning.parameter_space import DEFAULT_UNIT
 from geoorbit_ros.learning.training import Mode, RunSettings, TrainedModel, train
 from geoorbit_ros.learning.workers import Progress, quiet
 from geoorbit_ros.storage.atomic import atomic_output
@@ -91,7 +93,7 @@ def train_study(
     """Train one model per mode and seed, and write each; a rejected one becomes the defaults.
 
     A model is accepted only if the judges among the seen cameras, from which it has learned
-    nothing, find it better than the default parameters (`acceptance`).
+    nothing, find it better than the default parameters (`federated.verdict`).
 
     Raises:
         InputFileError: No seen camera on which a lane can be found.
@@ -114,6 +116,7 @@ def train_study(
         asked = [(name, learner.predict_unit(examples[name].features[0])) for name in names]
         return np.array([losses.total for losses in table.losses(asked)])
 
+    jury = jury_of(study.cameras(), examples, table)
     models: dict[tuple[Mode, int], TrainedModel] = {}
     for mode in modes:
         for seed in seeds:
@@ -124,28 +127,33 @@ def train_study(
             def show(entry: Round, what: str = what) -> None:
                 progress(what, entry.number / (settings.rounds + 1))
 
-            model = train(mode, examples, composite, chosen, show)
-            model = judged(model, judges, table, seed)
+            model = train(mode, examples, composite, chosen, show, jury)
+            if not model.verdict.accepted:
+                model = replace(model, learner=MetaLearner.untrained(seed))
             models[mode, seed] = model
             _write_model(study.model_path(estimator, mode, seed), model, chosen)
     return models
 
 
-def judged(
-    model: TrainedModel, judges: Sequence[FleetCamera], table: LossTable, seed: int
-) -> TrainedModel:
-    """The model as it is published: itself, or one that predicts the defaults."""
-    fixed = MetaLearner.untrained(seed)
-    asked = [
-        (camera.camera_id, learner.predict_unit(camera.features))
-        for learner in (model.learner, fixed)
-        for camera in judges
+def jury_of(
+    cameras: Sequence[FleetCamera], examples: dict[str, Examples], table: LossTable
+) -> Jury:
+    """The judges of a study; where everybody judges, those who also teach."""
+    seen = [camera for camera in cameras if camera.split == "seen"]
+    divisor, _, names = roles([camera.camera_id for camera in seen])
+    judges = [
+        camera
+        for camera in seen
+        if camera.camera_id in names and (divisor > 1 or camera.camera_id in examples)
     ]
-    losses = table.losses(asked)
-    found = acceptance(losses[: len(judges)], losses[len(judges) :])
-    if found.accepted:
-        return replace(model, acceptance=found)
-    return replace(model, learner=fixed, acceptance=found)
+
+    def gains(learner: MetaLearner) -> list[float]:
+        asked = [(camera.camera_id, learner.predict_unit(camera.features)) for camera in judges]
+        fixed = [(camera.camera_id, DEFAULT_UNIT) for camera in judges]
+        losses = table.losses([*asked, *fixed])
+        return gains_of(losses[: len(judges)], losses[len(judges) :])
+
+    return Jury(tuple(camera.camera_id for camera in judges), divisor, gains)
 
 
 def _write_model(path: Path, model: TrainedModel, settings: RunSettings) -> None:
@@ -154,7 +162,7 @@ def _write_model(path: Path, model: TrainedModel, settings: RunSettings) -> None
     about = {
         "settings": asdict(settings),
         "traffic": asdict(model.traffic),
-        "acceptance": asdict(model.acceptance),
+        "verdict": asdict(model.verdict),
     }
     with atomic_output(path.with_suffix(".json")) as temporary:
         temporary.write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")

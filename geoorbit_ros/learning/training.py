@@ -18,7 +18,8 @@ from geoorbit_ros.federated.server import FederatedServer
 from geoorbit_ros.federated.server_config import ServerConfig
 from geoorbit_ros.federated.strategies.factory import make_strategy
 from geoorbit_ros.federated.traffic import Traffic
-from geoorbit_ros.learning.acceptance import NOBODY_ASKED, Acceptance
+from geoorbit_ros.federated.verdict import NOBODY_ASKED, Verdict
+from geoorbit_ros.learning.acceptance import Jury
 from geoorbit_ros.learning.features import FEATURE_NAMES
 from geoorbit_ros.learning.history import Round
 from geoorbit_ros.learning.local_training import (
@@ -78,13 +79,13 @@ class TrainedModel:
         learner: f_phi.
         rounds: Its history; the last entry is the final model, one beyond the last round.
         traffic: What crossed the wire; nothing in central training.
-        acceptance: What cameras that took no part say of it.
+        verdict: What the judges say of it.
     """
 
     learner: MetaLearner
     rounds: tuple[Round, ...]
     traffic: Traffic
-    acceptance: Acceptance = NOBODY_ASKED
+    verdict: Verdict = NOBODY_ASKED
 
 
 def train(
@@ -93,8 +94,9 @@ def train(
     composite: CompositeLoss,
     settings: RunSettings,
     on_round: Callable[[Round], None] | None = None,
+    jury: Jury | None = None,
 ) -> TrainedModel:
-    """Train on the examples of many cameras, by camera id.
+    """Train on the examples of many cameras, by camera id, and have the model judged.
 
     Both modes start from the same weights and take the same gradient steps on the same loss; one
     has all examples in one place, the other leaves each on its camera.
@@ -115,10 +117,13 @@ def train(
         return known
 
     start = MetaLearner.untrained(settings.seed)
-    run = _train_central if mode == "central" else _train_federated
-    learner, traffic = run(examples, settings, start, measure)
+    if mode == "central":
+        learner = _train_central(examples, settings, start, measure)
+        verdict, traffic = jury.verdict(learner) if jury else NOBODY_ASKED, Traffic()
+    else:
+        learner, verdict, traffic = _train_federated(examples, settings, start, measure, jury)
     measure(learner, last=True)
-    return TrainedModel(learner, tuple(history), traffic)
+    return TrainedModel(learner, tuple(history), traffic, verdict)
 
 
 _Measure = Callable[[MetaLearner], dict[str, float]]
@@ -129,7 +134,7 @@ def _train_central(
     settings: RunSettings,
     learner: MetaLearner,
     measure: _Measure,
-) -> tuple[MetaLearner, Traffic]:
+) -> MetaLearner:
     everything = Examples(
         np.concatenate([e.features for e in examples.values()]),
         np.concatenate([e.targets for e in examples.values()]),
@@ -141,7 +146,7 @@ def _train_central(
         noise = _noise_seed(settings, number, 0)
         delta, _, _ = train_locally(tensors, everything, settings.training, seed=noise)
         learner = MetaLearner.from_tensors({name: tensors[name] + delta[name] for name in tensors})
-    return learner, Traffic()
+    return learner
 
 
 def _train_federated(
@@ -149,7 +154,8 @@ def _train_federated(
     settings: RunSettings,
     learner: MetaLearner,
     measure: _Measure,
-) -> tuple[MetaLearner, Traffic]:
+    jury: Jury | None,
+) -> tuple[MetaLearner, Verdict, Traffic]:
     interface = interface_digest(FEATURE_NAMES, PARAMETER_NAMES)
     config = ServerConfig(
         rounds=settings.rounds,
@@ -157,21 +163,40 @@ def _train_federated(
         clients_per_round=settings.clients_per_round,
         encoding=settings.encoding,
         interface=interface,
+        judges=jury.divisor if jury else 0,
         seed=settings.seed,
     )
-    roster = Roster([Member(camera_id, None) for camera_id in examples])
+    names = list(dict.fromkeys([*examples, *(jury.names if jury else ())]))
+    roster = Roster([Member(name, None) for name in names])
     server = FederatedServer(config, learner.tensors(), roster, make_strategy(settings.strategy))
     clients = [
-        FederatedClient(camera_id, encoding=make_encoding(settings.encoding), interface=interface)
-        for camera_id in examples
+        FederatedClient(name, encoding=make_encoding(settings.encoding), interface=interface)
+        for name in names
     ]
+
+    def gains_in(learner: MetaLearner, number: int) -> dict[str, float]:
+        """Gains by judge, in the rounds in which lanes are estimated anew; elsewhere they abstain.
+
+        Only the verdict on the last model decides.
+        """
+        last = number > settings.rounds or not np.isnan(settings.stop_below)
+        if jury is None or not (last or (number - 1) % settings.loss_period == 0):
+            return {}
+        return dict(zip(jury.names, jury.gains(learner), strict=True))
 
     def train_many(asked: Sequence[tuple[FederatedClient, Work]]) -> list[LocalResult]:
         if not asked:
             return []
-        losses = measure(MetaLearner.from_tensors(asked[0][1].tensors))
+        learner = MetaLearner.from_tensors(asked[0][1].tensors)
+        training = any(work.order.teach for _, work in asked)
+        losses = measure(learner) if training else {}
+        gains = gains_in(learner, asked[0][1].round)
         results = []
         for client, work in asked:
+            gain = gains.get(client.camera_id, float("nan")) if work.order.judge else float("nan")
+            if not work.order.teach:
+                results.append(LocalResult({}, 0, 0.0, gain))
+                continue
             delta, count, _ = train_locally(
                 work.tensors,
                 examples[client.camera_id],
@@ -179,11 +204,11 @@ def _train_federated(
                 work.order.proximal_mu,
                 _noise_seed(settings, work.round, client.id),
             )
-            results.append(LocalResult(delta, count, losses[client.camera_id]))
+            results.append(LocalResult(delta, count, losses[client.camera_id], gain))
         return results
 
     traffic = run_in_process(server, clients, train_many)
-    return MetaLearner.from_tensors(server.published), traffic
+    return MetaLearner.from_tensors(server.published), server.verdict, traffic
 
 
 def _noise_seed(settings: RunSettings, number: int, client: int) -> int:

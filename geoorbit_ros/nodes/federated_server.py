@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 from rclpy.clock import Clock, ClockType
@@ -14,10 +13,13 @@ from std_msgs.msg import String
 
 from geoorbit_ros.federated.envelope import schema_of
 from geoorbit_ros.federated.keys import Roster, Signer, read_private_key
+from geoorbit_ros.federated.secure_aggregation.coordinator import MIN_CLIENTS
 from geoorbit_ros.federated.secure_aggregation.message import SCHEMA as SECURE
 from geoorbit_ros.federated.server import FederatedServer
 from geoorbit_ros.federated.server_config import ServerConfig
+from geoorbit_ros.federated.status import server_facts, status_text
 from geoorbit_ros.federated.strategies.factory import StrategySettings, make_strategy
+from geoorbit_ros.federated.verdict import MIN_JUDGES, judge_divisor
 from geoorbit_ros.learning.camera_session import INTERFACE, starting_learner
 from geoorbit_ros.nodes.base import GeoOrbitNode
 from geoorbit_ros.nodes.byte_topic import (
@@ -51,6 +53,7 @@ class FederatedServerParameters:
     target_loss: float
     clients_per_round: int
     selection: str
+    judge_every: int
     quorum: float
     deadline_s: float
     max_staleness: int
@@ -65,11 +68,13 @@ class FederatedServerParameters:
     secure_aggregation: bool
     seed: int
 
-    def config(self, run: int) -> ServerConfig:
+    def config(self, run: int, roster: Roster) -> ServerConfig:
         """The part that the state machine takes."""
+        least = MIN_CLIENTS if self.secure_aggregation else MIN_JUDGES
+        judges = judge_divisor(roster, self.judge_every, least)
         shared = {f.name for f in fields(ServerConfig)} & {f.name for f in fields(self)}
         values = {name: getattr(self, name) for name in shared}
-        return ServerConfig(run=run, interface=INTERFACE, **values)
+        return ServerConfig(run=run, interface=INTERFACE, judges=judges, **values)
 
     def settings(self) -> StrategySettings:
         """The part that strategies take."""
@@ -89,10 +94,11 @@ class FederatedServerNode(GeoOrbitNode[FederatedServerParameters]):
     def setup(self) -> None:
         """Take up the checkpoint if there is one, and announce the open round."""
         private = read_private_key(self.p.key_file) if self.p.key_file else None
+        roster = Roster.read(self.p.roster)
         self.server = FederatedServer(
-            self.p.config(run=int(time.time())),
+            self.p.config(int(time.time()), roster),
             starting_learner(self.p.model_file, self.p.seed).tensors(),
-            Roster.read(self.p.roster),
+            roster,
             make_strategy(self.p.strategy, self.p.settings()),
             Signer(private, self.p.federation),
             Path(self.p.checkpoint) if self.p.checkpoint else None,
@@ -112,20 +118,7 @@ class FederatedServerNode(GeoOrbitNode[FederatedServerParameters]):
         return self._facts()
 
     def _facts(self) -> dict[str, object]:
-        server = self.server
-        last = server.history[-1] if server.history else None
-        return {
-            "run": server.run,
-            "round": server.round,
-            "rounds": self.p.rounds,
-            "finished": server.finished,
-            "selected": len(server.selected),
-            "collected": server.collected,
-            "accepted": server.accepted,
-            **{f"refused_{r.replace(' ', '_')}": n for r, n in server.refused.items()},
-            "loss": round(last.loss, 6) if last else "",
-            "sent_bytes": self._models.sent_bytes,
-        }
+        return server_facts(self.server) | {"sent_bytes": self._models.sent_bytes}
 
     def _on_update(self, payload: bytes) -> None:
         self._send(self.server.receive(payload, time.monotonic()))
@@ -137,8 +130,7 @@ class FederatedServerNode(GeoOrbitNode[FederatedServerParameters]):
         if payload is None:
             return
         (self._steps if schema_of(payload) == SECURE else self._models).publish(payload)
-        history = [asdict(record) for record in self.server.history[-1:]]
-        self._status.publish(String(data=json.dumps(self._facts() | {"last_round": history})))
+        self._status.publish(String(data=status_text(self.server, self._facts())))
 
 
 def main(args: Sequence[str] | None = None) -> int:

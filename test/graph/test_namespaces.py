@@ -159,4 +159,5 @@ def test_cameras_on_hosts_of_their_own_train_with_a_server_on_a_third(
     state = read_checkpoint(tmp_path / "server.npz", server.layout, Ledger(()))
     assert state is not None
     assert state.finished
-    assert [record.updates for record in state.history] == [len(CAMERAS)] * ROUNDS
+    assert [record.updates for record in state.history] == [*[len(CAMERAS)] * ROUNDS, 0]
+    assert state.approved == state.digests[ROUNDS + 1]

@@ -12,7 +12,7 @@ from geoorbit_ros.federated.cdr import CdrReader, CdrWriter
 from geoorbit_ros.federated.envelope import SIGNATURE_BYTES, check_prefix
 from geoorbit_ros.federated.errors import PayloadError, Refusal
 
-SCHEMA, VERSION = "secure", 1
+SCHEMA, VERSION = "secure", 2
 Key = TypeVar("Key", bound=tuple[int, ...])
 
 

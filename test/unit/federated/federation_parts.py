@@ -74,9 +74,16 @@ class Camera:
     def loss(self, tensors: Mapping[str, Any]) -> float:
         return float(np.mean((predict(tensors, self.x)[1] - self.y) ** 2))
 
+    def gain(self, tensors: Mapping[str, Any]) -> float:
+        """Against the first model, which stands for the defaults."""
+        return float(np.log(self.loss(tensors) / self.loss(first_tensors())))
+
     def train(
         self, tensors: Tensors, order: TrainingOrder, steps: int = 10, rate: float = 1.0
     ) -> LocalResult:
+        gain = self.gain(tensors) if order.judge else float("nan")
+        if not order.teach:
+            return LocalResult({}, 0, self.loss(tensors), gain)
         weights = {name: t.astype(np.float64) for name, t in tensors.items()}
         for _ in range(steps):
             hidden, out = predict(weights, self.x)
@@ -92,7 +99,7 @@ class Camera:
                 pull = order.proximal_mu * (weights[name] - t)
                 weights[name] = weights[name] - rate * (gradient[name] + pull)
         delta = {name: (weights[name] - t).astype(np.float32) for name, t in tensors.items()}
-        return LocalResult(delta, len(self.x), self.loss(tensors))
+        return LocalResult(delta, len(self.x), self.loss(tensors), gain)
 
 
 @dataclass
@@ -152,6 +159,7 @@ def update_of(
         "client": signer_id(name),
         "sample_count": 1,
         "loss": 0.5,
+        "gain": float("nan"),
         "data": np.asarray(vector, "<f4").tobytes(),
     }
     return signer_of(name).seal(ClientUpdate(**(fields | changes)).unsigned())

@@ -10,7 +10,7 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
-from federation_parts import FEDERATION, Federation
+from federation_parts import FEDERATION, Federation, signer_id
 
 from geoorbit_ros.federated import client as client_module
 from geoorbit_ros.federated import server as server_module
@@ -22,12 +22,19 @@ from geoorbit_ros.federated.server_state import read_checkpoint
 from geoorbit_ros.federated.strategies.fedadam import FedAdam
 from geoorbit_ros.federated.strategies.fedbuff import FedBuff
 
-NAMES = ("north", "south", "west")
+NAMES = ("north", "south", "east")
 ROUNDS = 3
 SERVER = "server"
 CONFIG = ServerConfig(
-    federation=FEDERATION, rounds=ROUNDS, encoding="top_k", top_k_share=0.3, deadline_s=10.0
+    federation=FEDERATION,
+    rounds=ROUNDS,
+    judges=1,
+    encoding="top_k",
+    top_k_share=0.3,
+    deadline_s=10.0,
 )
+CLIENT_SAVES = 18
+"""One per client, round and final judgement; one more where the model in use is an earlier one."""
 HARMLESS = {Refusal.DUPLICATE, Refusal.OLD_ROUND, Refusal.OTHER_MODEL}
 
 
@@ -43,6 +50,7 @@ class Network:
     queue: deque[tuple[str, bytes]] = field(default_factory=deque)
     now_s: float = 0.0
     steps: int = 0
+    handling: str = ""
 
     def broadcast(self, payload: bytes | None) -> None:
         if payload is not None:
@@ -62,6 +70,7 @@ class Network:
         self.queue.extend(latched)
 
     def deliver(self, to: str, payload: bytes) -> None:
+        self.handling = to
         try:
             if to == SERVER:
                 self.broadcast(self.federation.server.receive(payload, self.now_s))
@@ -110,23 +119,35 @@ def federation_in(folder: Path, config: ServerConfig = CONFIG, strategy: Any = F
     return Network(Federation(NAMES, config, strategy, make_encoding("top_k", 0.3), folder))
 
 
-def final_bits(network: Network) -> bytes:
+Result = tuple[bytes, str, list[int]]
+
+
+def final_bits(network: Network) -> Result:
+    """Final model, what was said of each round's, and what every client uses in the end."""
     server = network.federation.server
-    assert [record.updates for record in server.history] == [len(NAMES)] * ROUNDS
-    return server.layout.flatten(server.tensors).tobytes()
+    assert [record.updates for record in server.history][:ROUNDS] == [len(NAMES)] * ROUNDS
+    while network.queue:  # the last announcement
+        network.deliver(*network.queue.popleft())
+    told = repr([replace(record, seconds=0.0) for record in server.history])
+    used = [client.used for client in network.federation.clients]
+    return server.layout.flatten(server.tensors).tobytes(), told, used
 
 
 @pytest.fixture(scope="module")
-def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, int]:
+def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Result, int]:
     network = federation_in(tmp_path_factory.mktemp("whole"))
     network.run(None, SERVER)
-    return final_bits(network), network.steps
+    steps = network.steps
+    result = final_bits(network)
+    assert len(set(result[2])) == 1
+    assert result[2][0] != 0
+    return result, steps
 
 
 @pytest.mark.parametrize("keep_messages", [True, False], ids=["delivered", "lost"])
 @pytest.mark.parametrize("victim", [SERVER, NAMES[0]])
 def test_killed_between_any_two_messages(
-    tmp_path: Path, uninterrupted: tuple[bytes, int], victim: str, keep_messages: bool
+    tmp_path: Path, uninterrupted: tuple[Result, int], victim: str, keep_messages: bool
 ) -> None:
     expected, steps = uninterrupted
     assert steps >= 2 * ROUNDS * len(NAMES)
@@ -136,6 +157,28 @@ def test_killed_between_any_two_messages(
         network = federation_in(folder)
         network.run(kill_at, victim, keep_messages)
         assert final_bits(network) == expected, f"killed before message {kill_at}"
+
+
+def test_killed_between_any_two_messages_where_some_only_judge(tmp_path: Path) -> None:
+    numbers = {name: signer_id(name) for name in NAMES}
+    divisor = next(d for d in range(2, 99) if sum(n % d == 0 for n in numbers.values()) == 2)
+    judge = next(name for name, number in numbers.items() if number % divisor == 0)
+    config = replace(CONFIG, judges=divisor)
+
+    def result(folder: Path, kill_at: int | None, victim: str) -> tuple[bytes, str]:
+        folder.mkdir()
+        network = federation_in(folder, config)
+        network.run(kill_at, victim, keep_messages=False)
+        server = network.federation.server
+        told = repr([replace(record, seconds=0.0) for record in server.history])
+        assert [(r.updates, r.judges) for r in server.history] == [*[(1, 2)] * ROUNDS, (0, 2)]
+        return server.layout.flatten(server.tensors).tobytes(), told
+
+    expected = result(tmp_path / "whole", None, SERVER)
+    for victim in (SERVER, judge):
+        for kill_at in range(1, 22):
+            found = result(tmp_path / f"{victim} {kill_at}", kill_at, victim)
+            assert found == expected, f"{victim} killed before message {kill_at}"
 
 
 @contextmanager
@@ -157,9 +200,9 @@ def killed_while_saving(module: Any, function: str, call: int, after: bool) -> I
 
 
 @pytest.mark.parametrize("after", [False, True], ids=["before", "after"])
-@pytest.mark.parametrize("call", range(2, ROUNDS + 2))
+@pytest.mark.parametrize("call", range(2, ROUNDS + 3))
 def test_the_server_killed_while_it_saves(
-    tmp_path: Path, uninterrupted: tuple[bytes, int], call: int, after: bool
+    tmp_path: Path, uninterrupted: tuple[Result, int], call: int, after: bool
 ) -> None:
     network = federation_in(tmp_path)
     with killed_while_saving(server_module, "write_checkpoint", call, after) as calls:
@@ -172,20 +215,20 @@ def test_the_server_killed_while_it_saves(
 
 
 @pytest.mark.parametrize("after", [False, True], ids=["before", "after"])
-@pytest.mark.parametrize("call", range(1, ROUNDS * len(NAMES) + 1))
+@pytest.mark.parametrize("call", range(1, CLIENT_SAVES + 1))
 def test_a_client_killed_while_it_saves(
-    tmp_path: Path, uninterrupted: tuple[bytes, int], call: int, after: bool
+    tmp_path: Path, uninterrupted: tuple[Result, int], call: int, after: bool
 ) -> None:
     network = federation_in(tmp_path)
     with killed_while_saving(client_module, "write_client_state", call, after):
         with pytest.raises(Killed):
             network.run(None, SERVER)
-        network.restart(NAMES[(call - 1) % len(NAMES)], keep_messages=False)
+        network.restart(network.handling, keep_messages=False)
         network.run_on()
     assert final_bits(network) == uninterrupted[0]
 
 
-def test_everybody_killed_at_once(tmp_path: Path, uninterrupted: tuple[bytes, int]) -> None:
+def test_everybody_killed_at_once(tmp_path: Path, uninterrupted: tuple[Result, int]) -> None:
     for kill_at in range(1, uninterrupted[1], 2):
         folder = tmp_path / str(kill_at)
         folder.mkdir()
@@ -199,7 +242,7 @@ def test_everybody_killed_at_once(tmp_path: Path, uninterrupted: tuple[bytes, in
 
 
 def test_an_asynchronous_server_goes_on(tmp_path: Path) -> None:
-    config = replace(CONFIG, rounds=6, max_staleness=3)
+    config = replace(CONFIG, rounds=6, judges=0, max_staleness=3)
     for kill_at in range(2, 30, 3):
         folder = tmp_path / str(kill_at)
         folder.mkdir()
@@ -215,8 +258,9 @@ def test_a_checkpoint_is_read_as_it_was_written(tmp_path: Path) -> None:
     ledger = Ledger(server._state.ledger.members)
     saved = read_checkpoint(tmp_path / "server.npz", server.layout, ledger)
     assert saved is not None
-    for name in ("run", "round", "finished", "digests", "history", "secret"):
+    for name in ("run", "round", "trained", "finished", "approved", "digests", "secret"):
         assert getattr(saved, name) == getattr(server._state, name), name
+    assert repr(saved.history) == repr(server._state.history)  # NaN is not equal to itself
     np.testing.assert_array_equal(ledger.answered, server._state.ledger.answered)
     np.testing.assert_array_equal(ledger.utility, server._state.ledger.utility)
     np.testing.assert_array_equal(saved.model, server._state.model)

@@ -193,9 +193,10 @@ def test_a_refused_update_leaves_no_trace() -> None:
     }
     for reason, payload in cases.items():
         assert refusal_of(server, payload) == reason
-    assert refusal_of(server, update_of(server, north, ZERO, sample_count=0)) == (
-        Refusal.OUT_OF_RANGE
-    )
+    huge_count = update_of(server, north, ZERO, sample_count=2**31)
+    assert refusal_of(server, huge_count) == Refusal.OUT_OF_RANGE
+    judged = update_of(server, north, ZERO[:0], sample_count=0)
+    assert refusal_of(server, judged) == Refusal.NOT_SELECTED
     assert refusal_of(server, update_of(server, north, ZERO, loss=np.inf)) == Refusal.NOT_FINITE
     assert (server.collected, server.accepted) == (0, 0)
     server.receive(good, 0.0)

@@ -32,8 +32,10 @@ LAYOUTS = st.lists(
     max_size=4,
     unique_by=lambda pair: pair[0],
 ).map(lambda pairs: ModelLayout(*(tuple(part) for part in zip(*pairs, strict=True))))
+WHOLE_NUMBERS = ("run", "round", "model", "interface", "approved", "judges")
 CLIENTS = st.lists(U32, max_size=3).map(tuple)
 DATA = st.binary(max_size=40)
+FLOAT = st.floats(width=32, allow_nan=False)
 
 
 def by_rosbags(name: str, **fields: Any) -> bytes:
@@ -42,11 +44,17 @@ def by_rosbags(name: str, **fields: Any) -> bytes:
     return bytes(STORE.serialize_cdr(message, kind))
 
 
-@given(BYTE, U32, U32, U32, U32, st.floats(width=32, allow_nan=False), DATA)
+@given(BYTE, U32, U32, U32, U32, st.tuples(FLOAT, FLOAT), DATA)
 def test_client_update(
-    encoding: int, number: int, model: int, client: int, samples: int, loss: float, data: bytes
+    encoding: int,
+    number: int,
+    model: int,
+    client: int,
+    samples: int,
+    losses: tuple[float, float],
+    data: bytes,
 ) -> None:
-    update = ClientUpdate(encoding, number, model, client, samples, loss, data)
+    update = ClientUpdate(encoding, number, model, client, samples, *losses, data)
     payload = update.unsigned() + UNSIGNED
     assert payload == by_rosbags(
         "ClientUpdate",
@@ -58,23 +66,22 @@ def test_client_update(
         model=model,
         client=client,
         sample_count=samples,
-        loss=loss,
+        loss=losses[0],
+        gain=losses[1],
         data=np.frombuffer(data, np.uint8),
     )
     assert ClientUpdate.decode(payload) == update
 
 
-@given(BYTE, BYTE, U32, U32, U32, CLIENTS, DATA)
+@given(BYTE, BYTE, st.tuples(U32, U32, U32, U32), CLIENTS, DATA)
 def test_model_delta(
     encoding: int,
     flags: int,
-    number: int,
-    base: int,
-    model: int,
+    numbers: tuple[int, int, int, int],
     clients: tuple[int, ...],
     data: bytes,
 ) -> None:
-    delta = ModelDelta(encoding, flags, number, base, model, clients, data)
+    delta = ModelDelta(encoding, flags, *numbers, clients, data)
     payload = delta.unsigned() + UNSIGNED
     assert payload == by_rosbags(
         "ModelDelta",
@@ -82,19 +89,24 @@ def test_model_delta(
         version=model_delta.VERSION,
         encoding=encoding,
         flags=flags,
-        round=number,
-        base=base,
-        model=model,
+        **dict(zip(("round", "base", "model", "approved"), numbers, strict=True)),
         clients=np.array(clients, np.uint32),
         data=np.frombuffer(data, np.uint8),
     )
     assert ModelDelta.decode(payload) == delta
 
 
-@given(BYTE, st.tuples(U32, U32, U32, U32), st.floats(0, 1e3, width=32), CLIENTS, LAYOUTS, DATA)
+@given(
+    BYTE,
+    st.tuples(*[U32] * 6),
+    st.floats(0, 1e3, width=32),
+    CLIENTS,
+    LAYOUTS,
+    DATA,
+)
 def test_global_model(
     flags: int,
-    numbers: tuple[int, int, int, int],
+    numbers: tuple[int, int, int, int, int, int],
     proximal_mu: float,
     clients: tuple[int, ...],
     layout: ModelLayout,
@@ -108,7 +120,7 @@ def test_global_model(
         version=global_model.VERSION,
         encoding=2,
         flags=flags,
-        **dict(zip(("run", "round", "model", "interface"), numbers, strict=True)),
+        **dict(zip(WHOLE_NUMBERS, numbers, strict=True)),
         proximal_mu=proximal_mu,
         clients=np.array(clients, np.uint32),
         tensor_names=list(layout.names),
@@ -141,7 +153,7 @@ def test_lane_parameters(
     assert ThetaPayload.decode(payload) == parameters
 
 
-UPDATE = ClientUpdate(0, 1, 2, 3, 4, 0.5, b"12345678").unsigned() + UNSIGNED
+UPDATE = ClientUpdate(0, 1, 2, 3, 4, 0.5, -0.25, b"12345678").unsigned() + UNSIGNED
 
 
 @pytest.mark.parametrize("length", range(len(UPDATE)))
@@ -156,7 +168,7 @@ def test_a_payload_cut_anywhere_is_refused(length: int) -> None:
     [
         (UPDATE + b"\0", Refusal.TOO_LONG, "9 bytes of data"),
         (UPDATE.replace(b"update", b"delta\0"), Refusal.FOREIGN, "found schema 'delta"),
-        (UPDATE[:16] + b"\x03\0" + UPDATE[18:], Refusal.VERSION, "found version 3"),
+        (UPDATE[:16] + b"\x02\0" + UPDATE[18:], Refusal.VERSION, "found version 2"),
         (UPDATE[:19] + b"\x01" + UPDATE[20:], Refusal.MALFORMED, "flags 1"),
         (b"\0\0" + UPDATE[2:], Refusal.FOREIGN, ""),
     ],

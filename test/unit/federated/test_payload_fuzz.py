@@ -33,7 +33,7 @@ Take = Callable[[bytes], object]
 
 # Unsigned, so that a changed byte is judged by what it says and not by its signature.
 NAMES = ("north", "south", "west")
-CONFIG = ServerConfig(encoding="top_k", rounds=9)
+CONFIG = ServerConfig(encoding="top_k", rounds=9, judges=1)
 SERVER = FederatedServer(CONFIG, first_tensors(), Roster(Member(n, None) for n in NAMES))
 WHOLE = SERVER.start(0.0)
 CLIENTS = [

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from tasks import made_task
 
-from geoorbit_ros.learning.acceptance import acceptance
+from geoorbit_ros.learning.acceptance import gains_of, verdict_of
 from geoorbit_ros.learning.objective import Objective
 from geoorbit_ros.learning.parameter_search import search_theta
 from geoorbit_ros.learning.parameter_space import DEFAULT_UNIT
@@ -93,10 +93,10 @@ def test_a_model_is_accepted_when_judges_agree_that_it_is_better(
 ) -> None:
     fixed = [loss(t) for t in (10.0, 5000.0, 200.0, 30.0)]
     model = [loss(f * old.total) for f, old in zip(factors, fixed, strict=True)]
-    assert acceptance(model, fixed).accepted is accepted
+    assert verdict_of(gains_of(model, fixed)).accepted is accepted
 
 
 def test_a_model_that_silences_a_judge_is_not_accepted() -> None:
     fixed = [loss(100.0)] * 4
     model = [*[loss(50.0)] * 3, loss(0.0, detected=0)]
-    assert not acceptance(model, fixed).accepted
+    assert not verdict_of(gains_of(model, fixed)).accepted
