@@ -155,8 +155,7 @@ def _camera(name: str, nodes: Mapping[str, NodeReport], wanted: Sequence[str]) -
         found = [nodes[n].values.get(key, "") for n, key in column.sources if n in nodes]
         found = [value for value in found if value]
         if found:
-            total = f"{sum(map(float, found)):g}"
-            values[column.key] = total if column.summed else found[0]
+            values[column.key] = f"{sum(map(float, found)):g}" if column.summed else found[0]
     return Row(name, bool(nodes) and not problems, len(nodes), tuple(problems), values)
 
 
