@@ -68,10 +68,12 @@ def fleet(tmp_path: Path, camera: MadeUpCamera) -> Iterator[RunningFleet]:
 @pytest.mark.slow
 def test_every_process_that_is_killed_comes_back_and_nothing_is_lost(fleet: RunningFleet) -> None:
     vehicles: list[int] = []
+
+    def count(message: PoseArray) -> None:
+        vehicles.append(len(message.poses))
+
     stream = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
-    fleet.node.create_subscription(
-        PoseArray, "/twin/vehicles", lambda message: vehicles.append(len(message.poses)), stream
-    )
+    fleet.node.create_subscription(PoseArray, "/twin/vehicles", count, stream)
 
     def federated_round() -> float:
         return fleet.value("/federated_server", "round")
@@ -89,12 +91,12 @@ def test_every_process_that_is_killed_comes_back_and_nothing_is_lost(fleet: Runn
     before = {name: fleet.lane_ids(name) for name in CAMERAS}
 
     def new_vehicles() -> Callable[[], object]:
-        count = len(vehicles)
-        return lambda: any(vehicles[count:])
+        so_far = len(vehicles)
+        return lambda: any(vehicles[so_far:])
 
     def new_map() -> Callable[[], object]:
-        count = len(fleet.maps["north"])
-        return lambda: len(fleet.maps["north"]) > count
+        so_far = len(fleet.maps["north"])
+        return lambda: len(fleet.maps["north"]) > so_far
 
     for process, node, prepared in (
         ("federated_server", "/federated_server", lambda: lambda: True),

@@ -1,0 +1,1 @@
+"""Fleets that run for minutes, and what they cost meanwhile."""
