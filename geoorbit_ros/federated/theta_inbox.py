@@ -66,6 +66,6 @@ class ThetaInbox:
 
 
 def _origin(theta: ThetaPayload) -> str:
-    if theta.run:
-        return f"round {theta.round}"
-    return "a model" if theta.model else "by hand"
+    if theta.model == 0:
+        return "defaults" if theta.run else "by hand"
+    return f"round {theta.round}" if theta.run else "a model"

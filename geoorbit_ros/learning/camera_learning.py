@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import threading
 import zlib
 from dataclasses import dataclass
 
@@ -32,19 +29,6 @@ class Lesson:
 
     result: LocalResult
     best_theta: NDArray[np.float64] | None
-
-
-def end_with_parent() -> None:
-    """Initialiser of a worker: it ends when the process that started it ends, kill -9 included."""
-    parent = multiprocessing.parent_process()
-    if parent is None:
-        return
-
-    def watch() -> None:
-        parent.join()
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
 
 
 def learn_from_camera(

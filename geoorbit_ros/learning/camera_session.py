@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from concurrent.futures import Executor, Future
+from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import asdict
 from pathlib import Path
 
@@ -72,6 +72,7 @@ class CameraSession:
         self._best: tuple[object, NDArray[np.float64]] | None = None
         self._work: Work | None = None
         self._running: tuple[Work, object, Future[Lesson]] | None = None
+        self._died_of: Work | None = None
         self._predicted: object = None
 
     def restart(self) -> None:
@@ -188,6 +189,11 @@ class CameraSession:
             lesson = future.result()
         except GeoOrbitError:
             raise
+        except BrokenExecutor as error:  # killed from outside: once more, unless a newer one waits
+            if self._work is None and self._died_of is not work:
+                self._work = self._died_of = work
+            place = f"training of round {work.round}"
+            raise GeoOrbitError(place, "a process that was killed", "an update") from error
         except Exception as error:  # whatever ends a worker must not end the node
             place = f"training of round {work.round}"
             raise GeoOrbitError(place, repr(error), "an update") from error

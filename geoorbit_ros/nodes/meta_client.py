@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +16,7 @@ from geoorbit_ros.core.tables import TRACK_DTYPE
 from geoorbit_ros.federated.client import FederatedClient
 from geoorbit_ros.federated.encodings.factory import make_encoding
 from geoorbit_ros.federated.keys import Signer, public_key, read_private_key
-from geoorbit_ros.learning.camera_learning import end_with_parent
+from geoorbit_ros.learning.background import BackgroundProcess
 from geoorbit_ros.learning.camera_session import INTERFACE, CameraSession
 from geoorbit_ros.learning.model_file import load_model
 from geoorbit_ros.nodes.base import GeoOrbitNode
@@ -62,7 +60,7 @@ class MetaClientNode(GeoOrbitNode[MetaClientParameters]):
 
     Publishes `lane_parameters`, latched, for every new model and observation, and
     `/federated/client_update` for every round that it is selected for. Training runs in a process
-    of its own, so that nothing here waits for it.
+    of its own at low priority, so that nothing here waits for it.
     """
 
     name = "meta_client"
@@ -81,11 +79,9 @@ class MetaClientNode(GeoOrbitNode[MetaClientParameters]):
             interface=INTERFACE,
             state_path=Path(p.state_file) if p.state_file else None,
         )
-        # Spawned: a fork would copy the middleware's threads in whatever state they are.
-        context = multiprocessing.get_context("spawn")
-        self._workers = ProcessPoolExecutor(1, context, end_with_parent)
+        self._training = BackgroundProcess()
         self.session = CameraSession(
-            self.client, signer, p.estimator, p.observation_s, self._workers
+            self.client, signer, p.estimator, p.observation_s, self._training
         )
         if p.model_file:
             self.session.learner = load_model(Path(p.model_file))
@@ -105,9 +101,7 @@ class MetaClientNode(GeoOrbitNode[MetaClientParameters]):
 
     def close(self) -> None:
         """Leave training where it is: the round is announced again to whoever comes back."""
-        for process in list((self._workers._processes or {}).values()):
-            process.kill()
-        self._workers.shutdown(wait=False, cancel_futures=True)
+        self._training.kill()
 
     def _on_step(self, payload: bytes) -> None:
         if step := self.client.assist(payload):

@@ -163,14 +163,12 @@ def test_kill_9_in_mid_round_changes_no_bit_of_the_final_model(processes: Proces
 
 
 _PARENT = """
-import multiprocessing, sys, time
-from concurrent.futures import ProcessPoolExecutor
+import time
 from os import getpid
-from geoorbit_ros.learning.camera_learning import end_with_parent
+from geoorbit_ros.learning.background import BackgroundProcess
 if __name__ == "__main__":
-    context = multiprocessing.get_context("spawn")
-    workers = ProcessPoolExecutor(1, context, end_with_parent)
-    print(workers.submit(getpid).result(), flush=True)
+    training = BackgroundProcess()
+    print(training.submit(getpid).result(), flush=True)
     time.sleep(100)
 """
 

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from concurrent.futures import Executor, Future
+from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -261,3 +261,31 @@ def test_a_worker_that_fails_is_named_and_the_node_goes_on(
     nodes.wait(lambda: client.diagnostics.refused == 1, 20.0, "the failure")
     assert "no room" in str(client.diagnostics.last_refusal)
     assert client.session.poll(0.0) is None
+
+
+def test_work_that_a_killed_process_takes_with_it_is_done_once_more(
+    nodes: Composition, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    class Killed(AtOnce):
+        killed = 0
+
+        def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Any:
+            if self.killed:
+                return super().submit(fn, *args, **kwargs)
+            self.killed += 1
+            future: Future[Any] = Future()
+            future.set_exception(BrokenExecutor("ended by SIGKILL"))
+            return future
+
+    monkeypatch.setattr(camera_session, "learn_from_camera", learned)
+    roster = tmp_path / "roster.txt"
+    roster.write_text("north\n")
+    server = nodes.make(FederatedServerNode, "/", {"roster": str(roster), "rounds": 2})
+    client = nodes.make(MetaClientNode, "north", LOSSLESS | {"observation_s": 1.0})
+    client.session._executor = Killed()
+    client.session.refer(made_up_reference(), -10.0)
+    for stamp_ns, rows in made_up_tracks(1.0):
+        client.session.add(stamp_ns, rows.astype(TRACK_DTYPE))
+    nodes.wait(lambda: server.server.round > 1, 20.0, "a round")
+    assert client.diagnostics.refused == 1
+    assert "a process that was killed" in str(client.diagnostics.last_refusal)
