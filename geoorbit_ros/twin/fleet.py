@@ -24,6 +24,9 @@ VEHICLE_DTYPE = np.dtype(
         ("observed", "?"),
         ("predicted", "?"),
         ("cameras", "<i8"),
+        ("possible_mps", "<f8"),
+        ("anchor", "<f8", 2),
+        ("anchor_ns", "<i8"),
         ("lane", "<i8"),
         ("arc", "<f8"),
         ("offset", "<f8"),
@@ -38,7 +41,8 @@ VEHICLE_DTYPE = np.dtype(
 """State of a vehicle: middle of its footprint in the map frame; `heading` as tracked and
 `course` as driven (`synchronizer.plausible_course`); `kind` numbers `TYPES`;
 `observed`: a track has it in this step, and `predicted`: but only as a prediction; `cameras`: how
-many see it; `within`: between the borders of its lane; `entered`: whether it is in the simulation,
+many see it; `possible_mps`: the least speed it can have by braking, and `anchor…`: where and since when
+it has been within a few metres (`ghosts`); `within`: between the borders of its lane; `entered`: whether it is in the simulation,
 and `sim_…` what it is there."""
 
 _MEMORY = 0.98

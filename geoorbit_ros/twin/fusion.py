@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from geoorbit_ros.twin.fleet import Fleet, usual_size
+from geoorbit_ros.twin.ghosts import GhostWatch
 from geoorbit_ros.twin.vehicle_types import type_of_class
 
 Slots = NDArray[np.int64]
@@ -43,6 +44,7 @@ class FusionCounts:
         doubled: Rows ignored because they lay within another vehicle of their camera.
         merged: Vehicles found to be another one's double.
         off_road: Rows ignored because they lay beside the network.
+        ghosts: Tracks that left their vehicle for something that is none.
     """
 
     jumps: int = 0
@@ -50,6 +52,7 @@ class FusionCounts:
     doubled: int = 0
     merged: int = 0
     off_road: int = 0
+    ghosts: int = 0
 
 
 class Fusion:
@@ -66,6 +69,7 @@ class Fusion:
         self._fleet, self._on_road = fleet, on_road
         self._bound: list[dict[int, int]] = [{} for _ in range(cameras)]
         self._near_s: dict[tuple[int, int], float] = {}
+        self._ghosts = GhostWatch(fleet, cameras)
 
     def release(self, slot: Slots) -> None:
         """These vehicles are leaving: no track is theirs any more."""
@@ -78,6 +82,7 @@ class Fusion:
     def forget_tracks(self, camera: int) -> None:
         """A camera's tracker started again: its numbers mean nothing any more."""
         self._bound[camera].clear()
+        self._ghosts.forget(camera)
 
     def update(self, time_ns: int, step_s: float, tables: Sequence[NDArray[np.void]]) -> Slots:
         """Move all vehicles to `time_ns`, by their tracks where they have one.
@@ -97,7 +102,8 @@ class Fusion:
         table["predicted"][present] = False
         table["cameras"][present] = 0
         entered, slots, rows = [], [], []
-        for camera, found in enumerate(tables):
+        for camera, table_now in enumerate(tables):
+            found = table_now[~self._ghosts.ignored(camera, table_now)]
             slot = self._bind(camera, found, time_ns)
             new = np.flatnonzero(slot == -1)
             able = self._on_road(found["xy"][new])
@@ -116,6 +122,7 @@ class Fusion:
             rows.append(found[kept])
         if slots:
             self._place(np.concatenate(slots), np.concatenate(rows), time_ns)
+        self._lay_ghosts(time_ns, step_s)
         if len(tables) > 1:
             self._merge(step_s)
         return np.concatenate(entered) if entered else np.empty(0, np.int64)
@@ -213,6 +220,18 @@ class Fusion:
         table["length"][place], table["width"][place] = length, width
         table["seen_ns"][place], table["observed"][place] = time_ns, True
         table["cameras"][place] = count
+
+    def _lay_ghosts(self, time_ns: int, step_s: float) -> None:
+        """Take their tracks from vehicles that can't be any; they leave with this step."""
+        table = self._fleet.table
+        for slot in self._ghosts.find(time_ns, step_s).tolist():
+            for camera, bound in enumerate(self._bound):
+                for track in [t for t, s in bound.items() if s == slot]:
+                    del bound[track]
+                    self._ghosts.add(camera, track, table["xy"][slot])
+            table["seen_ns"][slot] = 0
+            table["observed"][slot] = False
+            self.counts.ghosts += 1
 
     def _merge(self, step_s: float) -> None:
         """Give the tracks of a vehicle that is another one's double to the older one."""

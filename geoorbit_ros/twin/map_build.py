@@ -76,7 +76,7 @@ def build_from_osm(
         f"--default.lanewidth={lane_width_m:g}",
         f"--proj={datum.proj_string}",
     ]
-    warnings = _netconvert([f"--osm-files={source}", f"--output-file={net}", *options], str(area))
+    warnings = netconvert([f"--osm-files={source}", f"--output-file={net}", *options], str(area))
     if source != area:
         source.unlink()
     return _finish(folder, datum, area, options, warnings)
@@ -105,7 +105,7 @@ def _finish(
     network = load_network(folder / NETWORK, datum)
     opendrive = folder / OPENDRIVE
     export = ["--opendrive-output.straight-threshold=0.00000001"]
-    warnings += _netconvert(
+    warnings += netconvert(
         [f"--sumo-net-file={folder / NETWORK}", f"--opendrive-output={opendrive}", *export],
         str(source),
     )
@@ -161,8 +161,8 @@ def _middle_of_roads(area: Path) -> Datum:
     return Datum(round(float(latitude), 7), round(float(longitude), 7))
 
 
-def _netconvert(arguments: list[str], place: str) -> tuple[str, ...]:
-    """Run netconvert; its warnings.
+def netconvert(arguments: list[str], place: str) -> tuple[str, ...]:
+    """Run netconvert (arguments without the program); its warnings.
 
     Raises:
         RoadNetworkError: It ends with an error, or not at all.

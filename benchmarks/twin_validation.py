@@ -1,0 +1,175 @@
+"""Errors planted into every shipped scene's map, found and mended by what its camera sees.
+
+A minute of traffic goes through camera model, detector model and lane estimator. The scene's own
+network is right; it is given one error at a time: a lane missing, a lane too many, an edge 1 m
+beside its place, a lane 0.8 m narrower, an edge turned round, the whole map displaced by 1 m. Every
+lane that the camera can judge takes its turn. An error counts as found when one finding has its
+kind and place and, within the stated tolerance, its size, and no finding is of anything else; as
+mended when the patched network has no finding and every lane the camera judges lies, is as wide and
+runs as in the right one, as well as the camera's own lanes do (`MENDED_M`, `MENDED_WIDTH_M`).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+
+from geoorbit_ros.calibration.box_projector import BoxProjector
+from geoorbit_ros.calibration.homography import fit_homography
+from geoorbit_ros.core.lanes import Lane
+from geoorbit_ros.lanes.factory import make_estimator
+from geoorbit_ros.lanes.mapper import LaneMapper
+from geoorbit_ros.lanes.pipeline import map_lanes, project_frames
+from geoorbit_ros.metrics.polyline import project, sample
+from geoorbit_ros.scenes.network import write_network
+from geoorbit_ros.scenes.roads import place_roads
+from geoorbit_ros.scenes.scene import load_scene, shipped_scenes
+from geoorbit_ros.scenes.simulate import simulate
+from geoorbit_ros.twin.map_errors import SHIFT_M, WIDTH_M, Error, plant
+from geoorbit_ros.twin.network import RoadNetwork, load_network
+from geoorbit_ros.twin.patch import patch_network
+from geoorbit_ros.twin.validation import Validation, validate
+
+DURATION_S = 60.0
+MENDED_M, MENDED_WIDTH_M = 0.4, 0.3
+"""What the lane estimator promises of a lane at 95 %, and the least width difference reported."""
+
+
+def seen(name: str, seed: int, folder: Path) -> tuple[Sequence[Lane], RoadNetwork]:
+    """A scene's lanes as its camera finds them, and its network."""
+    scene = load_scene(name)
+    run = simulate(scene, DURATION_S, seed)
+    projector = BoxProjector(fit_homography(run.control_points), run.image_size)
+    mapper = LaneMapper(make_estimator("curvilinear"))
+    lanes = map_lanes(project_frames(run.frames, projector), mapper).lanes
+    net = write_network(place_roads(scene), folder, run.datum)
+    return lanes, load_network(net, run.datum)
+
+
+def is_found(error: Error, lane: str, network: RoadNetwork, found: Validation) -> bool:
+    """Whether a validation says what was planted, and nothing else."""
+    sizes = {"shifted": SHIFT_M, "offset": SHIFT_M, "width": WIDTH_M}
+    edge = lane.rpartition("_")[0]
+    kinds = {error}
+    if error == "shifted" and len(seen_edges(network, found)) == 1:
+        kinds.add("offset")  # with one edge in view both are the same
+    matching = [f for f in found.findings if f.kind in kinds]
+    if not matching or len(matching) < len(found.findings):
+        return False
+    if any(f.kind != "offset" and f.lane_id.rpartition("_")[0] != edge for f in matching):
+        return False
+    if error in ("extra", "width") and [f.lane_id for f in matching] != [lane]:
+        return False
+    if error not in sizes:
+        return True
+    off = [abs(abs(f.measured - f.expected) - sizes[error]) for f in matching]
+    return all(o <= f.tolerance for o, f in zip(off, matching, strict=True))
+
+
+def seen_edges(network: RoadNetwork, found: Validation) -> set[str]:
+    """Edges with a lane that was compared."""
+    return {name.rpartition("_")[0] for name in found.discrepancies.compared}
+
+
+def is_mended(lanes: Sequence[str], right: RoadNetwork, patched: RoadNetwork) -> bool:
+    """Whether the lanes of a right network are in a patched one, and no other beside them."""
+    judged = {name.rpartition("_")[0] for name in lanes}
+    for edge in judged:
+        if right.edge_id.count(edge) != patched.edge_id.count(edge):
+            return False
+    return all(_has(right, right.number[name], patched) for name in lanes)
+
+
+def _has(right: RoadNetwork, k: int, patched: RoadNetwork) -> bool:
+    points = sample(right.line(k))
+    for m in range(len(patched)):
+        if patched.edge_id[m] != right.edge_id[k]:
+            continue
+        foot = project(points.point_m, patched.line(m), 1.0)
+        if not foot.inside.any():
+            continue
+        same = np.median(np.sum(points.tangent * foot.tangent, axis=1)) > 0.9
+        near = np.median(np.abs(foot.offset_m[foot.inside])) <= MENDED_M
+        wide = abs(patched.width_m[m] - right.width_m[k]) <= MENDED_WIDTH_M
+        if same and near and wide:
+            return True
+    return False
+
+
+def is_inner(network: RoadNetwork, lane: str) -> bool:
+    """Whether there are lanes on both sides: no room for another one."""
+    k = network.number[lane]
+    return bool(network.left[k] >= 0 and network.right[k] >= 0)
+
+
+def try_scene(name: str, seed: int, counts: Counter[str]) -> None:
+    """All errors in all lanes of a scene."""
+    with tempfile.TemporaryDirectory() as text:
+        folder = Path(text)
+        lanes, network = seen(name, seed, folder)
+        clean = validate(lanes, network)
+        counts["right maps"] += 1
+        counts["right maps with findings"] += bool(clean.findings)
+        for finding in clean.findings:
+            print(f"{name}, seed {seed}, right map: {finding.sentence}", file=sys.stderr)
+        judged = clean.discrepancies.compared
+        for error in get_args(Error):
+            for k, lane in enumerate(judged):
+                alone = network.edge_id.count(network.edge_id[network.number[lane]]) == 1
+                if (error == "missing" and alone) or (error == "offset" and k):
+                    continue
+                if error == "extra" and is_inner(network, lane):
+                    continue
+                work = folder / f"{error}_{k}"
+                (work / "plain").mkdir(parents=True)
+                named = plant(error, network, lane, work / "bad.net.xml", work / "plain")
+                bad = load_network(work / "bad.net.xml", network.datum)
+                (work / "out").mkdir()
+                result = patch_network(lanes, bad, work / "out")
+                found = is_found(error, named, network, result.before)
+                mended = not result.after.findings and is_mended(judged, network, result.network)
+                counts[f"{error} planted"] += 1
+                counts[f"{error} found"] += found
+                counts[f"{error} mended"] += mended
+                if not (found and mended):
+                    said = [f.sentence for f in result.before.findings]
+                    said += [u.sentence for u in result.before.discrepancies.unseen]
+                    after = [f.sentence for f in result.after.findings]
+                    print(
+                        f"{name}, seed {seed}, {error} {lane}: found {found}, mended {mended}; "
+                        f"said {said}; after {after}",
+                        file=sys.stderr,
+                    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[1])
+    parser.add_argument("--scenes", nargs="+", default=shipped_scenes())
+    given = parser.parse_args()
+    counts: Counter[str] = Counter()
+    for seed in given.seeds:
+        for name in given.scenes:
+            try_scene(name, seed, counts)
+    for error in get_args(Error):
+        planted, found = counts[f"{error} planted"], counts[f"{error} found"]
+        mended = counts[f"{error} mended"]
+        print(f"{error}: {planted} planted, {found} found, {mended} mended", file=sys.stderr)
+        for what, number in (("missed", planted - found), ("not mended", planted - mended)):
+            title = f"map errors, {error}: {what} of {planted}"
+            print(json.dumps({"name": title, "ratio": round(number / planted, 4), "limit": 0.0}))
+    wrong, maps = counts["right maps with findings"], counts["right maps"]
+    title = f"right maps with a finding, of {maps}"
+    print(json.dumps({"name": title, "ratio": round(wrong / maps, 4), "limit": 0.0}))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,312 @@
+"""Where aligned lanes and a network differ: missing, extra, shifted, other width, other direction.
+
+At every sample of a detected lane, the network's lane that is nearest to it, and has it as its own
+nearest, is its partner there. What has no partner is missing in the map, or has not been seen by
+the camera; what has one is compared with it, edge by edge.
+
+A lane of the map that carries no traffic is extra only where lanes beside it have carried so much
+that it would have had some: with shares of the traffic drawn at random (Dirichlet, all alike), k
+lanes and N vehicles, a lane that is there stays empty with probability (k - 1) / (k - 1 + N).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from geoorbit_ros.core.lanes import Lane
+from geoorbit_ros.metrics.polyline import project
+from geoorbit_ros.twin.alignment import Alignment
+from geoorbit_ros.twin.findings import Finding, Unseen
+from geoorbit_ros.twin.network import RoadNetwork
+from geoorbit_ros.twin.overlay import Offsets, lanes_near, offsets, sample_lines
+
+GATE_M = 1.75
+"""Half a lane: what is farther is another lane."""
+MIN_LENGTH_M = 20.0
+"""Of less, neither side says much."""
+BESIDE_M = 6.0
+"""A missing lane belongs to the edge of the lane within this distance."""
+BESIDE_SHARE = 0.6
+"""A lane whose middle is farther from every lane's than this share of its width is another one."""
+SHIFT_M, WIDTH_M = 0.35, 0.25
+"""Differences that are none, be the detection ever so sure: drivers don't keep to the middle."""
+SIGMAS = 2.5
+EMPTY_SHARE = 0.7
+"""An extra lane is empty over this share of the length over which its edge is seen in use."""
+EXTRA_CONFIDENCE = 0.8
+
+
+@dataclass(frozen=True, slots=True)
+class Partners:
+    """Which network lane each sample of the detected lanes lies in.
+
+    Attributes:
+        detected: (N,) detected lane of each sample, by its place in the list.
+        lane: (N,) network lane by its number, -1 for none.
+        offset_m: (N,) of the sample to the left of that lane.
+        along: (N,) cosine between the directions.
+        arc_m: (N,) place along that lane.
+        gap_m: (N,) distance to the nearest network lane, partner or not, as a share of its width.
+        xy: (N, 2) the samples, aligned.
+    """
+
+    detected: NDArray[np.int64]
+    lane: NDArray[np.int64]
+    offset_m: NDArray[np.float64]
+    along: NDArray[np.float64]
+    arc_m: NDArray[np.float64]
+    gap_m: NDArray[np.float64]
+    xy: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Discrepancies:
+    """All that was found.
+
+    Attributes:
+        findings: In the order of certainty.
+        unseen: Lanes of the network without enough traffic to judge them.
+        compared: Lanes of the network that were compared.
+    """
+
+    findings: tuple[Finding, ...]
+    unseen: tuple[Unseen, ...]
+    compared: tuple[str, ...]
+
+
+def compare(lanes: Sequence[Lane], network: RoadNetwork, alignment: Alignment) -> Discrepancies:
+    """Differences between detected lanes and a network.
+
+    Args:
+        lanes: In the camera's map frame; tentative ones show that a lane is used, no more.
+        network: In the same frame.
+        alignment: Lays the ones on the other.
+    """
+    number = lanes_near(network, lanes)
+    lines = [alignment.points(lane.centerline_m) for lane in lanes]
+    partners = find_partners(lines, network, number)
+    beside = _lanes_beside(lines, network, number)
+    found: list[Finding] = []
+    compared: list[str] = []
+    for k in sorted(set(partners.lane[partners.lane >= 0].tolist())):
+        if network.internal[k]:
+            continue
+        at = partners.lane == k
+        d = int(np.bincount(partners.detected[at]).argmax())
+        at &= partners.detected == d
+        if lanes[d].status != "confirmed" or _length(partners.arc_m[at]) < MIN_LENGTH_M:
+            continue
+        compared.append(network.lane_id[k])
+        found += _of_pair(lanes[d], network, k, partners, at)
+    for d, lane in enumerate(lanes):
+        if lane.status == "confirmed":
+            found += _missing(lane, d, network, beside, partners)
+    extra, unseen = _extra(lanes, network, number, partners)
+    found += extra
+    found.sort(key=lambda f: -f.confidence)
+    return Discrepancies(tuple(found), tuple(unseen), tuple(compared))
+
+
+def find_partners(
+    lines: Sequence[NDArray[np.float64]], network: RoadNetwork, number: NDArray[np.int64]
+) -> Partners:
+    """Partners of all samples along detected centre lines (K, 2), aligned."""
+    points = sample_lines(lines)
+    near = offsets(points, [network.line(int(k)) for k in number])
+    best = np.argmin(np.abs(near.offset_m), axis=1)
+    rows = np.arange(len(best))
+    offset = near.offset_m[rows, best]
+    lane = number[best]
+    known = np.isfinite(offset)
+    gap = np.where(known, np.abs(offset) / network.width_m[lane], np.inf)
+    partner = known & (np.abs(offset) <= GATE_M)
+    partner &= _is_nearest(points.xy, points.lane, near, best, offset, lines)
+    return Partners(
+        detected=points.lane,
+        lane=np.where(partner, lane, -1),
+        offset_m=offset,
+        along=near.along[rows, best],
+        arc_m=near.arc_m[rows, best],
+        gap_m=gap,
+        xy=points.xy,
+    )
+
+
+def _is_nearest(
+    xy: NDArray[np.float64],
+    own: NDArray[np.int64],
+    near: Offsets,
+    best: NDArray[np.int64],
+    offset: NDArray[np.float64],
+    lines: Sequence[NDArray[np.float64]],
+) -> NDArray[np.bool_]:
+    """(N,) whether no other detected lane is nearer to the foot of each sample."""
+    step = np.where(np.isfinite(offset), offset, 0.0)[:, None]
+    foot = xy - step * near.normal[np.arange(len(best)), best]
+    nearest = np.ones(len(xy), dtype=np.bool_)
+    for d, line in enumerate(lines):
+        other = project(foot, line)
+        closer = other.inside & (np.abs(other.offset_m) < np.abs(offset) - 1e-6)
+        nearest &= ~(closer & (own != d))
+    return nearest
+
+
+def _of_pair(
+    lane: Lane, network: RoadNetwork, k: int, partners: Partners, at: NDArray[np.bool_]
+) -> list[Finding]:
+    """Direction, place and width of a network lane against its partner's."""
+    name, line = network.lane_id[k], partners.xy[at]
+    if np.median(partners.along[at]) < 0.0:
+        measured = lane.heading_deg
+        expected = (measured + 180.0) % 360.0
+        text = f"traffic on {name} runs towards {measured:.0f}°, the map's lane the other way"
+        return [
+            Finding(
+                "direction", name, lane.lane_id, line, measured, expected, 90.0, "",
+                lane.confidence, text,
+            )
+        ]  # fmt: skip
+    found = []
+    shift = float(np.median(partners.offset_m[at]))
+    sigma = lane.sigma_m if np.isfinite(lane.sigma_m) else SHIFT_M
+    tolerance = float(np.hypot(SHIFT_M, SIGMAS * sigma))
+    if abs(shift) > tolerance:
+        side = "left" if shift > 0 else "right"
+        text = f"{name} lies {abs(shift):.2f} m too far to the {_other(side)}"
+        sure = lane.confidence * float(ndtr((abs(shift) - SHIFT_M) / max(sigma, 1e-3)))
+        found.append(
+            Finding("shifted", name, lane.lane_id, line, shift, 0.0, tolerance, "m", sure, text)
+        )
+    expected = float(network.width_m[k])
+    sigma = lane.width_sigma_m if np.isfinite(lane.width_sigma_m) else WIDTH_M
+    tolerance = float(np.hypot(WIDTH_M, SIGMAS * sigma))
+    if np.isfinite(lane.width_m) and abs(lane.width_m - expected) > tolerance:
+        text = f"{name} is {lane.width_m:.2f} m wide, by the map {expected:.2f} m"
+        sure = lane.confidence * float(
+            ndtr((abs(lane.width_m - expected) - WIDTH_M) / max(sigma, 1e-3))
+        )
+        found.append(
+            Finding(
+                "width", name, lane.lane_id, line, lane.width_m, expected, tolerance, "m",
+                sure, text,
+            )
+        )  # fmt: skip
+    return found
+
+
+def _other(side: str) -> str:
+    return "right" if side == "left" else "left"
+
+
+def _missing(
+    lane: Lane,
+    d: int,
+    network: RoadNetwork,
+    beside: NDArray[np.int64],
+    partners: Partners,
+) -> list[Finding]:
+    """Stretches of a detected lane beside every lane of the map, one for each edge beside it."""
+    mine = np.flatnonzero(partners.detected == d)
+    alone = (partners.lane[mine] < 0) & (partners.gap_m[mine] > BESIDE_SHARE)
+    found = []
+    for run in _runs(alone):
+        edge = [network.edge_id[k] if k >= 0 else "" for k in beside[mine[run]].tolist()]
+        for name in dict.fromkeys(edge):
+            at = mine[run][np.array([e == name for e in edge])]
+            if _length_of(partners.xy[at]) < MIN_LENGTH_M:
+                continue
+            neighbour = int(np.bincount(beside[at]).argmax()) if name else -1
+            lane_id = network.lane_id[neighbour] if name else ""
+            where = f"beside {lane_id}" if name else "where it has no road"
+            text = (
+                f"lane {lane.lane_id} ({lane.vehicles:.0f} vehicles) is not in the map, {where}, "
+                f"over {_length_of(partners.xy[at]):.0f} m"
+            )
+            found.append(
+                Finding(
+                    "missing", lane_id, lane.lane_id, partners.xy[at], 1.0, 0.0, 0.0, "",
+                    lane.confidence, text,
+                )
+            )  # fmt: skip
+    return found
+
+
+def _lanes_beside(
+    lines: Sequence[NDArray[np.float64]], network: RoadNetwork, number: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """(N,) for each sample the nearest lane of its direction within 6 m, -1 for none."""
+    near = offsets(sample_lines(lines), [network.line(int(k)) for k in number])
+    away = np.where(near.along > 0.0, np.abs(near.offset_m), np.inf)
+    away[:, network.internal[number]] = np.inf
+    best = np.argmin(away, axis=1)
+    return np.where(away[np.arange(len(best)), best] < BESIDE_M, number[best], -1)
+
+
+def _extra(
+    lanes: Sequence[Lane], network: RoadNetwork, number: NDArray[np.int64], partners: Partners
+) -> tuple[list[Finding], list[Unseen]]:
+    """Lanes of edges in use that carry nothing."""
+    found: list[Finding] = []
+    unseen: list[Unseen] = []
+    normal = [int(k) for k in number if not network.internal[k]]
+    for edge in dict.fromkeys(network.edge_id[k] for k in normal):
+        group = [k for k in normal if network.edge_id[k] == edge]
+        used = np.isin(partners.lane, group)
+        users = sorted(set(partners.detected[used].tolist()))
+        if not users:
+            continue
+        vehicles = sum(lanes[d].vehicles for d in users)
+        for k in group:
+            foot = project(partners.xy[used], network.line(k), 1.0)
+            arc = foot.arc_m[foot.inside]
+            own = partners.arc_m[partners.lane == k]
+            seen_m = _length(arc)
+            if seen_m < MIN_LENGTH_M or _covered(own, arc) > 1.0 - EMPTY_SHARE:
+                continue
+            others = len(group) - 1
+            sure = vehicles / (vehicles + max(others, 1))
+            name, line = network.lane_id[k], _stretch(network, k, arc)
+            if sure < EXTRA_CONFIDENCE or not np.isfinite(sure):
+                needed = EXTRA_CONFIDENCE / (1.0 - EXTRA_CONFIDENCE) * max(others, 1)
+                text = (
+                    f"no traffic seen on {name}; {needed - vehicles:.0f} more vehicles beside it "
+                    "would say that it isn't there"
+                )
+                unseen.append(Unseen(name, text))
+                continue
+            text = (
+                f"no vehicle on {name} over {seen_m:.0f} m, while {vehicles:.0f} drove beside it"
+            )
+            found.append(Finding("extra", name, None, line, 0.0, 1.0, 0.0, "", sure, text))
+    return found, unseen
+
+
+def _stretch(network: RoadNetwork, k: int, arc: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points of a lane between the least and the greatest arc."""
+    at = np.linspace(arc.min(), arc.max(), 20)
+    line, along = network.line(k), network.arc(k)
+    return np.column_stack([np.interp(at, along, line[:, j]) for j in range(2)])
+
+
+def _covered(own: NDArray[np.float64], seen: NDArray[np.float64]) -> float:
+    """Share of the metres seen at which the lane itself has traffic."""
+    there = np.unique(np.round(own / 4.0))
+    return len(there) / max(len(np.unique(np.round(seen / 4.0))), 1)
+
+
+def _length(arc: NDArray[np.float64]) -> float:
+    return float(np.ptp(arc)) if len(arc) else 0.0
+
+
+def _length_of(xy: NDArray[np.float64]) -> float:
+    return float(np.hypot(*np.diff(xy, axis=0).T).sum())
+
+
+def _runs(flag: NDArray[np.bool_]) -> list[slice]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flag.astype(np.int8), [0]])))
+    return [slice(int(a), int(b)) for a, b in edges.reshape(-1, 2)]

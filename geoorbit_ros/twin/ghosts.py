@@ -1,0 +1,98 @@
+"""Tracks that have left their vehicle and stay with something that is none.
+
+A tracker that loses a vehicle can go on with whatever box is near: a sign, a shadow, a false
+detection that is always there. Two things give it away, because no vehicle can do them: it brakes
+harder than tyres do, or others drive through it. Its track is ignored until it has moved on.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.twin.fleet import Fleet
+
+MAX_BRAKING_MPS2 = 9.0
+"""Dry asphalt; trackers smooth speeds, and so show less."""
+FAST_MPS, STOPPED_SHARE = 10.0, 0.35
+"""Below this share of the speed that is possible by braking, a vehicle that was fast is none."""
+STANDS_M, STANDS_S = 6.0, 2.0
+"""What has not moved by more for so long stands."""
+THROUGH_ALONG_M, THROUGH_ACROSS_M = 1.5, 1.0
+THROUGH_MPS = 4.0
+"""Who drives through another one is faster than vehicles that close up in a queue."""
+MAX_SIGMA_M = 2.0
+LEAVES_M = 10.0
+"""A ghost that moves by more has become a vehicle's track again."""
+
+
+class GhostWatch:
+    """Finds vehicles that are none, and remembers which tracks show them.
+
+    Args:
+        fleet: The vehicles.
+        cameras: How many there are.
+    """
+
+    def __init__(self, fleet: Fleet, cameras: int) -> None:
+        self._fleet = fleet
+        self._places: list[dict[int, NDArray[np.float64]]] = [{} for _ in range(cameras)]
+
+    def forget(self, camera: int) -> None:
+        """A camera's tracker started again."""
+        self._places[camera].clear()
+
+    def add(self, camera: int, track: int, xy: NDArray[np.float64]) -> None:
+        """From now on this track is a ghost's."""
+        self._places[camera][track] = xy.copy()
+
+    def ignored(self, camera: int, rows: NDArray[np.void]) -> NDArray[np.bool_]:
+        """Which rows (R,) are ghosts'; those that have moved on are none any more."""
+        places = self._places[camera]
+        flag = np.zeros(len(rows), dtype=np.bool_)
+        if not places:
+            return flag
+        tracks = rows["track_id"].tolist()
+        for k, track in enumerate(tracks):
+            if track in places:
+                if np.hypot(*(rows["xy"][k] - places[track])) > LEAVES_M:
+                    del places[track]
+                else:
+                    flag[k] = True
+        return flag
+
+    def find(self, now_ns: int, step_s: float) -> NDArray[np.int64]:
+        """Slots of vehicles seen in this step that can't be vehicles."""
+        table, slots = self._fleet.table, self._fleet.slots
+        seen = slots[table["observed"][slots]]
+        speed = np.hypot(*table["velocity"][seen].T)
+        possible = table["possible_mps"][seen] - MAX_BRAKING_MPS2 * step_s
+        brakes = (possible > FAST_MPS) & (speed < STOPPED_SHARE * possible)
+        table["possible_mps"][seen] = np.maximum(speed, possible)
+        away = np.hypot(*(table["xy"][seen] - table["anchor"][seen]).T) > STANDS_M
+        fresh = seen[away | (table["anchor_ns"][seen] == 0)]
+        table["anchor"][fresh], table["anchor_ns"][fresh] = table["xy"][fresh], now_ns
+        stands = now_ns - table["anchor_ns"][seen] > STANDS_S * 1e9
+        return np.asarray(seen[brakes | self._driven_through(seen, speed, stands)])
+
+    def _driven_through(
+        self,
+        seen: NDArray[np.int64],
+        speed: NDArray[np.float64],
+        stands: NDArray[np.bool_],
+    ) -> NDArray[np.bool_]:
+        table = self._fleet.table
+        flag = np.zeros(len(seen), dtype=np.bool_)
+        sharp = (table["sigma"][seen] < MAX_SIGMA_M) & (table["cameras"][seen] == 1)
+        still = np.flatnonzero(stands & sharp)
+        moving = np.flatnonzero((speed > THROUGH_MPS) & sharp & ~stands)
+        if not len(still) or not len(moving):
+            return flag
+        course = table["course"][seen[moving]]
+        gap = table["xy"][seen[still]][:, None] - table["xy"][seen[moving]][None]
+        cos, sin = np.cos(course), np.sin(course)
+        along = gap[..., 0] * cos + gap[..., 1] * sin
+        across = gap[..., 1] * cos - gap[..., 0] * sin
+        inside = (np.abs(along) < THROUGH_ALONG_M) & (np.abs(across) < THROUGH_ACROSS_M)
+        flag[still] = inside.any(axis=1)
+        return flag
