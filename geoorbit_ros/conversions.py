@@ -9,13 +9,19 @@ after the 4-byte encapsulation header.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from importlib import import_module
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Point, Point32, PolygonStamped, Quaternion
+from geometry_msgs.msg import (
+    Point,
+    Point32,
+    PolygonStamped,
+    PoseWithCovarianceStamped,
+    Quaternion,
+)
 from numpy.typing import ArrayLike, NDArray
 from sensor_msgs.msg import NavSatFix, NavSatStatus
 from std_msgs.msg import ColorRGBA, Header
@@ -40,10 +46,13 @@ __all__ = [
     "encode_pose_array",
     "encode_string",
     "encode_table",
+    "findings_array",
     "health_array",
     "lane_markers",
     "lane_poses",
     "message_class",
+    "movement_message",
+    "movement_of",
     "path_headings",
     "pixel_polygon",
     "time_from_ns",
@@ -253,6 +262,67 @@ def health_array(
         ],
     )
     return DiagnosticArray(header=Header(stamp=time_from_ns(stamp_ns)), status=[status])
+
+
+def findings_array(
+    stamp_ns: int, statuses: Iterable[tuple[str, Sequence[str], Mapping[str, str]]]
+) -> DiagnosticArray:
+    """One status for each (name, findings, values): WARN with the findings, numbered, as values."""
+    found = DiagnosticArray(header=Header(stamp=time_from_ns(stamp_ns)))
+    for name, findings, values in statuses:
+        numbered = {f"finding_{k}": text for k, text in enumerate(findings, 1)}
+        count = f"{len(findings)} finding{'s' if len(findings) != 1 else ''}"
+        found.status.append(
+            DiagnosticStatus(
+                level=DiagnosticStatus.WARN if findings else DiagnosticStatus.OK,
+                name=name,
+                message=f"{count}: {findings[0]}" if findings else "ok",
+                values=[KeyValue(key=k, value=v) for k, v in {**values, **numbered}.items()],
+            )
+        )
+    return found
+
+
+def movement_message(
+    frame_id: str, x_m: float, y_m: float, turn_rad: float, covariance: NDArray[np.float64]
+) -> PoseWithCovarianceStamped:
+    """A movement in the plane as the pose of what it moves; its stamp is zero.
+
+    Args:
+        frame_id: Frame that is moved, about its origin.
+        x_m: Translation east.
+        y_m: Translation north.
+        turn_rad: Rotation, counter-clockwise.
+        covariance: (3, 3) of x, y and turn.
+    """
+    message = PoseWithCovarianceStamped(header=Header(frame_id=frame_id))
+    pose = message.pose.pose
+    pose.position.x, pose.position.y = x_m, y_m
+    pose.orientation.z, pose.orientation.w = np.sin(0.5 * turn_rad), np.cos(0.5 * turn_rad)
+    full = np.zeros((6, 6))
+    full[np.ix_([0, 1, 5], [0, 1, 5])] = covariance
+    message.pose.covariance = full.ravel()
+    return message
+
+
+def movement_of(
+    message: PoseWithCovarianceStamped, place: str
+) -> tuple[NDArray[np.float64], float, NDArray[np.float64]]:
+    """Translation (2,), turn and covariance (3, 3) of a movement in the plane.
+
+    Raises:
+        MessageError: Numbers that are not finite, or a turn about another axis.
+    """
+    pose = message.pose.pose
+    q = pose.orientation
+    full = np.asarray(message.pose.covariance, dtype=np.float64).reshape(6, 6)
+    values = np.array([pose.position.x, pose.position.y, q.z, q.w])
+    if not (np.isfinite(values).all() and np.isfinite(full).all()):
+        raise MessageError(place, "a movement that is not finite", "metres and a quaternion")
+    if abs(q.x) > 1e-6 or abs(q.y) > 1e-6 or abs(q.z**2 + q.w**2 - 1.0) > 1e-3:
+        raise MessageError(place, "a turn out of the plane", "a turn about the vertical")
+    turn = 2.0 * float(np.arctan2(q.z, q.w))
+    return values[:2], turn, full[np.ix_([0, 1, 5], [0, 1, 5])]
 
 
 def lane_markers(lane_map: LaneMap, frame_id: str) -> MarkerArray:

@@ -7,12 +7,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from geoorbit_ros.cli import twin_map
 from geoorbit_ros.cli.inputs import DatumOption, ImageSizeOption
 
 if TYPE_CHECKING:
+    from geoorbit_ros.twin.network import RoadNetwork
     from geoorbit_ros.twin.replay import ReplayScore, TrackStream
 
 app = typer.Typer(help="The road's digital twin in SUMO.", no_args_is_help=True)
+app.command("validate")(twin_map.validate)
+app.command("patch")(twin_map.patch)
 
 BagsArgument = Annotated[
     list[Path], typer.Argument(help="Tracked boxes: one rosbag2 bag with tracks_px per camera.")
@@ -38,6 +42,13 @@ def replay(
     image_size: ImageSizeOption = "1920x1080",
     datum: DatumOption = None,
     step_s: StepOption = 0.1,
+    align: Annotated[
+        bool,
+        typer.Option(
+            "--align/--no-align",
+            help="Learn the lanes first, and lay the tracks on the map where they don't fit it.",
+        ),
+    ] = True,
 ) -> None:
     """Let the recorded vehicles drive through a SUMO network, and say how well it followed.
 
@@ -49,7 +60,7 @@ def replay(
     """
     import json
 
-    from geoorbit_ros.cli.console import console
+    from geoorbit_ros.cli.console import console, say
     from geoorbit_ros.storage.atomic import atomic_output
     from geoorbit_ros.twin.network import load_network
     from geoorbit_ros.twin.picture import WayKeeper, save_picture
@@ -61,6 +72,9 @@ def replay(
     with atomic_output(out) as folder:
         streams = open_streams(bags, calibration, image_size, datum)
         network = load_network(net, streams[0].datum)
+        said = ["Tracks are where the cameras see them."]
+        if align:
+            streams, said = align_streams(streams, network)
         simulation = SumoSimulation(net, step_s)
         folder.mkdir()
         ways = WayKeeper()
@@ -75,12 +89,57 @@ def replay(
         finally:
             simulation.close()
         _check_traffic(score, str(net))
-        text = json.dumps(score.values(), indent=2)
+        aligned = {s.camera: s.alignment.values() for s in streams if s.alignment is not None}
+        text = json.dumps(score.values() | {"aligned": aligned}, indent=2)
         (folder / "score.json").write_text(text + "\n", encoding="utf-8")
         title = f"{score.vehicles} vehicles in {score.health.steps * step_s:.0f} s on {net.name}"
         save_picture(folder / "twin.png", network, ways, title)
     _print_score(score)
+    for sentence in said:
+        say(sentence)
     console.print(f" Wrote {out}", soft_wrap=True)
+
+
+def align_streams(
+    streams: list[TrackStream], network: RoadNetwork
+) -> tuple[list[TrackStream], list[str]]:
+    """The streams, laid on the network where they don't fit it, and what was found.
+
+    The lanes are learnt from the same tracks, as `geoorbit lanes` does it.
+    """
+    from dataclasses import replace
+
+    from geoorbit_ros.cli.console import track
+    from geoorbit_ros.core.errors import NoTrafficError
+    from geoorbit_ros.lanes.factory import make_estimator
+    from geoorbit_ros.lanes.mapper import LaneMapper
+    from geoorbit_ros.lanes.pipeline import map_lanes
+    from geoorbit_ros.twin.validation import in_frame, say_alignment, validate
+
+    found, said = [], []
+    for stream in streams:
+        frames = list(stream.frames)
+        alignment = None
+        try:
+            lanes = map_lanes(
+                track(frames, "learning the lanes"), LaneMapper(make_estimator("curvilinear"))
+            )
+            seen = in_frame(lanes.lanes, stream.datum, network.datum)
+            check = validate(seen, network)
+        except NoTrafficError:
+            said.append(f"{stream.camera}: too little traffic to compare the lanes with the map.")
+        else:
+            said.append(f"{stream.camera}: {say_alignment(check.alignment)}")
+            lanewise = sum(f.kind != "offset" for f in check.findings)
+            if lanewise:
+                said.append(
+                    f"{stream.camera}: the map differs from the lanes seen in {lanewise} places: "
+                    "geoorbit twin patch corrects it."
+                )
+            if check.alignment.significant:
+                alignment = check.alignment
+        found.append(replace(stream, frames=frames, alignment=alignment))
+    return found, said
 
 
 def open_streams(

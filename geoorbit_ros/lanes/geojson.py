@@ -18,7 +18,14 @@ from numpy.typing import NDArray
 from geoorbit_ros import __version__
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.core.lanes import Lane, LaneMap
-from geoorbit_ros.lanes.geojson_read import datum_of, lanes_of, load_collection, map_of
+from geoorbit_ros.lanes.geojson_read import (
+    Collection,
+    datum_of,
+    lanes_of,
+    load_collection,
+    map_of,
+    parse_collection,
+)
 
 FORMAT_VERSION = 1
 DECIMALS = 9
@@ -114,7 +121,19 @@ def read_lane_file(path: Path | str, datum: Datum | None = None) -> LaneFile:
     Raises:
         InputFileError: Not such a file; names feature, key, value and expectation.
     """
-    collection = load_collection(Path(path))
+    return _lane_file(load_collection(Path(path)), datum)
+
+
+def parse_lane_file(text: str, place: str, datum: Datum | None = None) -> LaneFile:
+    """The same of a text, which errors call `place`.
+
+    Raises:
+        InputFileError: Not the text of such a file.
+    """
+    return _lane_file(parse_collection(text, Path(place)), datum)
+
+
+def _lane_file(collection: Collection, datum: Datum | None) -> LaneFile:
     origin = datum or datum_of(collection)
     about = collection.about
     return LaneFile(

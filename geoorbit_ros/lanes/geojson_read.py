@@ -59,13 +59,26 @@ def load_collection(path: Path) -> Collection:
         InputFileError: Unreadable, not JSON, not a FeatureCollection of lane lines.
     """
     try:
-        data = json.loads(path.read_text(encoding="utf-8-sig"), parse_constant=_no_constant)
+        text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise InputFileError(str(path), error.strerror, "a readable file") from error
+    except ValueError as error:  # not UTF-8
+        raise InputFileError(str(path), error, "a GeoJSON file") from error
+    return parse_collection(text, path)
+
+
+def parse_collection(text: str, path: Path) -> Collection:
+    """Parse and check the text of a lane file; `path` is what errors call it.
+
+    Raises:
+        InputFileError: Not JSON, not a FeatureCollection of lane lines.
+    """
+    try:
+        data = json.loads(text, parse_constant=_no_constant)
     except json.JSONDecodeError as error:
         where = f"{path}, line {error.lineno}"
         raise InputFileError(where, error.msg, "a GeoJSON file") from error
-    except ValueError as error:  # not UTF-8, or NaN in the JSON
+    except ValueError as error:  # NaN in the JSON
         raise InputFileError(str(path), error, "a GeoJSON file") from error
     if not isinstance(data, dict) or data.get("type") != "FeatureCollection":
         found = data.get("type") if isinstance(data, dict) else type(data).__name__

@@ -71,9 +71,7 @@ class Alignment:
 
     def points(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
         """Points (N, 2) of the camera's map, laid on the network."""
-        return np.asarray(
-            self.centre_m + self.shift_m + _turned(xy - self.centre_m, self.turn_rad)
-        )
+        return np.asarray(self.centre_m + self.shift_m + _turned(xy - self.centre_m, self.turn_rad))
 
     def inverse_points(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
         """Points (N, 2) of the network, where the camera sees them."""
@@ -99,6 +97,15 @@ class Alignment:
     def significant(self) -> bool:
         """Whether camera and map disagree by more than they may by chance."""
         return self.size_m > max(SIGNIFICANT_M, SIGNIFICANT_SIGMAS * self.sigma_m)
+
+    def values(self) -> dict[str, float]:
+        """Figures for reports."""
+        return {
+            "shift_east_m": round(float(self.shift_m[0]), 3),
+            "shift_north_m": round(float(self.shift_m[1]), 3),
+            "turn_deg": round(float(np.degrees(self.turn_rad)), 3),
+            "sigma_m": round(self.sigma_m, 3),
+        }
 
     @property
     def applied(self) -> Alignment:
@@ -158,9 +165,7 @@ def align(lanes: Sequence[Lane], network: RoadNetwork) -> Alignment:
     return _result(problem, best)
 
 
-def _problem(
-    lanes: Sequence[Lane], network: RoadNetwork, number: NDArray[np.int64]
-) -> _Problem:
+def _problem(lanes: Sequence[Lane], network: RoadNetwork, number: NDArray[np.int64]) -> _Problem:
     points = sample_lines([lane.centerline_m for lane in lanes])
     near = offsets(points, [network.line(int(k)) for k in number])
     sigma = np.array([lane.sigma_m for lane in lanes])
@@ -198,8 +203,11 @@ def _refined(problem: _Problem, start: NDArray[np.float64]) -> NDArray[np.float6
         rows = problem.rows(lane)
         weight = problem.weight * _biweight(np.abs(residual))
         fixed = np.where(np.isfinite(residual), problem.near.offset_m[_rows(lane), lane], 0.0)
-        change = np.linalg.solve(
-            rows.T @ (weight[:, None] * rows) + _prior(), -(rows.T @ (weight * fixed))
+        change = np.asarray(
+            np.linalg.solve(
+                rows.T @ (weight[:, None] * rows) + _prior(), -(rows.T @ (weight * fixed))
+            ),
+            dtype=np.float64,
         )
         if np.abs(change - move).max() < 1e-4:
             break
@@ -212,7 +220,9 @@ def _result(problem: _Problem, move: NDArray[np.float64]) -> Alignment:
     good = np.abs(residual) < SCALE_M
     rows = problem.rows(lane)[good]
     weight = problem.weight[good] * _biweight(np.abs(residual[good]))
-    covariance = np.linalg.inv(rows.T @ (weight[:, None] * rows) + _prior())
+    covariance = np.asarray(
+        np.linalg.inv(rows.T @ (weight[:, None] * rows) + _prior()), dtype=np.float64
+    )
     spread = rows[:, :2].T @ (weight[:, None] * rows[:, :2]) / max(weight.sum(), 1e-12)
     values, axes = np.linalg.eigh(spread)
     shape = (axes * (SHAPE_M**2 / np.maximum(values, 1e-6))) @ axes.T
@@ -282,4 +292,4 @@ def _biweight(distance: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _turned(vector: NDArray[np.float64], angle_rad: float) -> NDArray[np.float64]:
     cos, sin = np.cos(angle_rad), np.sin(angle_rad)
-    return vector @ np.array([[cos, sin], [-sin, cos]])
+    return np.asarray(vector @ np.array([[cos, sin], [-sin, cos]]))

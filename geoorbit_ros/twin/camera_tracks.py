@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.core.tables import FLAG_PREDICTED
+from geoorbit_ros.twin.alignment import Alignment
 from geoorbit_ros.twin.plane import ConformalMap
 
 OBSERVATION_DTYPE = np.dtype(
@@ -39,6 +40,11 @@ class CameraTracks:
         name: The camera.
         hold_s: How long a track may be missing and go on.
         datum: Origin of the twin's map frame.
+
+    Attributes:
+        name: The camera.
+        alignment: Lays the tracks on the network, where camera and map disagree as a whole.
+        newest_ns: Time of the newest frame.
     """
 
     def __init__(self, name: str, hold_s: float, datum: Datum) -> None:
@@ -46,6 +52,7 @@ class CameraTracks:
         self._hold_ns = round(hold_s * 1e9)
         self._datum = datum
         self._plane: ConformalMap | None = None
+        self.alignment: Alignment | None = None
         self.reset()
 
     def reset(self) -> None:
@@ -79,6 +86,11 @@ class CameraTracks:
         if self._plane is not None:
             turn = self._plane.turn_rad(table["xy"])
             table["xy"] = self._plane.points(table["xy"])
+            table["heading"] += turn
+            table["velocity"] = _turned(table["velocity"], turn)
+        if self.alignment is not None:
+            turn = np.full(len(table), self.alignment.turn_rad)
+            table["xy"] = self.alignment.points(table["xy"])
             table["heading"] += turn
             table["velocity"] = _turned(table["velocity"], turn)
         self._frames.append((stamp_ns, table))

@@ -11,8 +11,9 @@ lanes and N vehicles, a lane that is there stays empty with probability (k - 1) 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,8 @@ GATE_M = 1.75
 """Half a lane: what is farther is another lane."""
 MIN_LENGTH_M = 20.0
 """Of less, neither side says much."""
+AGAINST_M = 0.8
+"""A lane of the other direction is a partner where it is nearer by this than one of the same."""
 BESIDE_M = 6.0
 """A missing lane belongs to the edge of the lane within this distance."""
 BESIDE_SHARE = 0.6
@@ -71,12 +74,12 @@ class Discrepancies:
     Attributes:
         findings: In the order of certainty.
         unseen: Lanes of the network without enough traffic to judge them.
-        compared: Lanes of the network that were compared.
+        compared: Lanes of the network that were compared, and over how many metres.
     """
 
     findings: tuple[Finding, ...]
     unseen: tuple[Unseen, ...]
-    compared: tuple[str, ...]
+    compared: Mapping[str, float]
 
 
 def compare(lanes: Sequence[Lane], network: RoadNetwork, alignment: Alignment) -> Discrepancies:
@@ -90,18 +93,19 @@ def compare(lanes: Sequence[Lane], network: RoadNetwork, alignment: Alignment) -
     number = lanes_near(network, lanes)
     lines = [alignment.points(lane.centerline_m) for lane in lanes]
     partners = find_partners(lines, network, number)
-    beside = _lanes_beside(lines, network, number)
+    beside = _Beside(lines, network, number)
     found: list[Finding] = []
-    compared: list[str] = []
+    compared: dict[str, float] = {}
     for k in sorted(set(partners.lane[partners.lane >= 0].tolist())):
         if network.internal[k]:
             continue
         at = partners.lane == k
         d = int(np.bincount(partners.detected[at]).argmax())
         at &= partners.detected == d
-        if lanes[d].status != "confirmed" or _length(partners.arc_m[at]) < MIN_LENGTH_M:
+        length_m = _length(partners.arc_m[at])
+        if lanes[d].status != "confirmed" or length_m < MIN_LENGTH_M:
             continue
-        compared.append(network.lane_id[k])
+        compared[network.lane_id[k]] = length_m
         found += _of_pair(lanes[d], network, k, partners, at)
     for d, lane in enumerate(lanes):
         if lane.status == "confirmed":
@@ -109,7 +113,7 @@ def compare(lanes: Sequence[Lane], network: RoadNetwork, alignment: Alignment) -
     extra, unseen = _extra(lanes, network, number, partners)
     found += extra
     found.sort(key=lambda f: -f.confidence)
-    return Discrepancies(tuple(found), tuple(unseen), tuple(compared))
+    return Discrepancies(tuple(found), tuple(unseen), compared)
 
 
 def find_partners(
@@ -118,7 +122,8 @@ def find_partners(
     """Partners of all samples along detected centre lines (K, 2), aligned."""
     points = sample_lines(lines)
     near = offsets(points, [network.line(int(k)) for k in number])
-    best = np.argmin(np.abs(near.offset_m), axis=1)
+    # Of two lanes in about one place the one that runs the right way.
+    best = np.argmin(np.abs(near.offset_m) + AGAINST_M * (near.along < 0.0), axis=1)
     rows = np.arange(len(best))
     offset = near.offset_m[rows, best]
     lane = number[best]
@@ -204,47 +209,69 @@ def _other(side: str) -> str:
 
 
 def _missing(
-    lane: Lane,
-    d: int,
-    network: RoadNetwork,
-    beside: NDArray[np.int64],
-    partners: Partners,
+    lane: Lane, d: int, network: RoadNetwork, beside: _Beside, partners: Partners
 ) -> list[Finding]:
     """Stretches of a detected lane beside every lane of the map, one for each edge beside it."""
     mine = np.flatnonzero(partners.detected == d)
     alone = (partners.lane[mine] < 0) & (partners.gap_m[mine] > BESIDE_SHARE)
     found = []
     for run in _runs(alone):
-        edge = [network.edge_id[k] if k >= 0 else "" for k in beside[mine[run]].tolist()]
+        neighbour = beside.neighbours(mine[run], network)
+        edge = [network.edge_id[k] if k >= 0 else "" for k in neighbour.tolist()]
         for name in dict.fromkeys(edge):
-            at = mine[run][np.array([e == name for e in edge])]
-            if _length_of(partners.xy[at]) < MIN_LENGTH_M:
+            here = np.array([e == name for e in edge])
+            xy = partners.xy[mine[run][here]]
+            length_m = _length_of(xy)
+            if length_m < MIN_LENGTH_M:
                 continue
-            neighbour = int(np.bincount(beside[at]).argmax()) if name else -1
-            lane_id = network.lane_id[neighbour] if name else ""
+            lane_id = network.lane_id[int(np.bincount(neighbour[here]).argmax())] if name else ""
             where = f"beside {lane_id}" if name else "where it has no road"
             text = (
                 f"lane {lane.lane_id} ({lane.vehicles:.0f} vehicles) is not in the map, {where}, "
-                f"over {_length_of(partners.xy[at]):.0f} m"
+                f"over {length_m:.0f} m"
             )
             found.append(
                 Finding(
-                    "missing", lane_id, lane.lane_id, partners.xy[at], 1.0, 0.0, 0.0, "",
-                    lane.confidence, text,
+                    "missing", lane_id, lane.lane_id, xy, 1.0, 0.0, 0.0, "", lane.confidence, text
                 )
             )  # fmt: skip
     return found
 
 
-def _lanes_beside(
-    lines: Sequence[NDArray[np.float64]], network: RoadNetwork, number: NDArray[np.int64]
-) -> NDArray[np.int64]:
-    """(N,) for each sample the nearest lane of its direction within 6 m, -1 for none."""
-    near = offsets(sample_lines(lines), [network.line(int(k)) for k in number])
-    away = np.where(near.along > 0.0, np.abs(near.offset_m), np.inf)
-    away[:, network.internal[number]] = np.inf
-    best = np.argmin(away, axis=1)
-    return np.where(away[np.arange(len(best)), best] < BESIDE_M, number[best], -1)
+class _Beside:
+    """Which lanes of the map run beside detected ones, in the same direction.
+
+    Args:
+        lines: Detected centre lines, aligned.
+        network: The network.
+        number: Its lanes that may be.
+    """
+
+    def __init__(
+        self,
+        lines: Sequence[NDArray[np.float64]],
+        network: RoadNetwork,
+        number: NDArray[np.int64],
+    ) -> None:
+        near = offsets(sample_lines(lines), [network.line(int(k)) for k in number])
+        self._number = number
+        self._away = np.where(near.along > 0.0, np.abs(near.offset_m), np.inf)
+        self._away[:, network.internal[number]] = np.inf
+
+    def neighbours(self, samples: NDArray[np.int64], network: RoadNetwork) -> NDArray[np.int64]:
+        """(N,) for each of these samples the nearest lane within `BESIDE_M`, -1 for none.
+
+        Where edges part, lanes of both are near: that edge is taken which most samples are beside.
+        """
+        away = self._away[samples]
+        edge = np.array([network.edge_id[int(k)] for k in self._number])
+        beside = away < BESIDE_M
+        often = {e: int(beside[:, edge == e].any(axis=1).sum()) for e in dict.fromkeys(edge)}
+        share = np.array([often[e] for e in edge]) / (len(samples) + 1.0)
+        cost = np.where(beside, away / BESIDE_M - 2.0 * share, np.inf)
+        best = np.argmin(cost, axis=1)
+        rows = np.arange(len(best))
+        return np.where(np.isfinite(cost[rows, best]), self._number[best], -1)
 
 
 def _extra(
@@ -260,7 +287,7 @@ def _extra(
         users = sorted(set(partners.detected[used].tolist()))
         if not users:
             continue
-        vehicles = sum(lanes[d].vehicles for d in users)
+        vehicles = float(np.nansum([lanes[d].vehicles for d in users]))
         for k in group:
             foot = project(partners.xy[used], network.line(k), 1.0)
             arc = foot.arc_m[foot.inside]
@@ -271,17 +298,15 @@ def _extra(
             others = len(group) - 1
             sure = vehicles / (vehicles + max(others, 1))
             name, line = network.lane_id[k], _stretch(network, k, arc)
-            if sure < EXTRA_CONFIDENCE or not np.isfinite(sure):
-                needed = EXTRA_CONFIDENCE / (1.0 - EXTRA_CONFIDENCE) * max(others, 1)
+            if sure < EXTRA_CONFIDENCE:
+                needed = EXTRA_CONFIDENCE / (1.0 - EXTRA_CONFIDENCE) * max(others, 1) - vehicles
                 text = (
-                    f"no traffic seen on {name}; {needed - vehicles:.0f} more vehicles beside it "
+                    f"no traffic seen on {name}; {ceil(needed)} more vehicles beside it "
                     "would say that it isn't there"
                 )
                 unseen.append(Unseen(name, text))
                 continue
-            text = (
-                f"no vehicle on {name} over {seen_m:.0f} m, while {vehicles:.0f} drove beside it"
-            )
+            text = f"no vehicle on {name} over {seen_m:.0f} m, while {vehicles:.0f} drove beside it"
             found.append(Finding("extra", name, None, line, 0.0, 1.0, 0.0, "", sure, text))
     return found, unseen
 

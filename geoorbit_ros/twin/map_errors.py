@@ -20,8 +20,9 @@ def plant(error: Error, network: RoadNetwork, lane_id: str, out: Path, folder: P
     """Write a network with one error.
 
     `missing` takes the lane away, `extra` puts one beside it (to the right of an edge's rightmost
-    lane, to the left of any other: of the leftmost, or it lies on another lane), `width` makes it `WIDTH_M` narrower; `shifted` moves its edge by
-    `SHIFT_M` to the left, `direction` turns its edge, `offset` moves the whole map.
+    lane, to the left of any other: of the leftmost, or it lies on another lane), `width` makes it
+    `WIDTH_M` narrower; `shifted` moves its edge by `SHIFT_M` to the left, `direction` turns its
+    edge, `offset` moves the whole map.
 
     Args:
         error: Which.
@@ -52,7 +53,9 @@ def plant(error: Error, network: RoadNetwork, lane_id: str, out: Path, folder: P
     elif error == "extra":
         side = -1.0 if at == 0 else 1.0
         shape = offset_line(lane.shape_m, side * lane.width_m)
-        edge.lanes.insert(at if at == 0 else at + 1, LaneEdit(None, shape, lane.width_m, lane.rules))
+        edge.lanes.insert(
+            at if at == 0 else at + 1, LaneEdit(None, shape, lane.width_m, lane.rules)
+        )
         named = f"{edge_id}_{0 if at == 0 else at + 1}"
     elif error == "width":
         lane.width_m -= WIDTH_M

@@ -70,9 +70,7 @@ def sample_lines(lines: Sequence[NDArray[np.float64]]) -> LaneSamples:
 def offsets(points: LaneSamples, lines: Sequence[NDArray[np.float64]]) -> Offsets:
     """How every point lies to every polyline (K, 2)."""
     shape = (len(points.xy), len(lines))
-    found = Offsets(
-        np.full(shape, np.inf), np.zeros((*shape, 2)), np.zeros(shape), np.zeros(shape)
-    )
+    found = Offsets(np.full(shape, np.inf), np.zeros((*shape, 2)), np.zeros(shape), np.zeros(shape))
     for k, line in enumerate(lines):
         # Most lines of a large network are far away.
         low, high = line.min(axis=0) - NEAR_M, line.max(axis=0) + NEAR_M

@@ -10,11 +10,13 @@ import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.metrics.polyline import offset_line, project
 from geoorbit_ros.scenes.network import drop_header
@@ -52,6 +54,16 @@ class Patched:
     left: tuple[tuple[Finding, str], ...]
     options: tuple[str, ...]
     warnings: tuple[str, ...]
+
+    def record(self, datum: Datum) -> dict[str, Any]:
+        """All of it for a JSON file."""
+        return {
+            "netconvert": {"options": list(self.options), "warnings": list(self.warnings)},
+            "corrected": [f.sentence for f in self.done],
+            "left": [{"finding": f.sentence, "why": reason} for f, reason in self.left],
+            "before": self.before.record(datum),
+            "after": self.after.record(datum),
+        }
 
 
 def patch_network(lanes: Sequence[Lane], network: RoadNetwork, folder: Path) -> Patched:
@@ -113,9 +125,7 @@ class _Editor:
     def __init__(self, plain: PlainNetwork, network: RoadNetwork) -> None:
         self._plain, self._network = plain, network
 
-    def apply(
-        self, finding: Finding, found: Validation, lanes: Sequence[Lane]
-    ) -> str:
+    def apply(self, finding: Finding, found: Validation, lanes: Sequence[Lane]) -> str:
         """Change the network; why not, where that can't be done."""
         if not finding.lane_id:
             return "no road of the map is beside it"

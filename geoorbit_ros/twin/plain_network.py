@@ -200,9 +200,9 @@ class PlainNetwork:
         for a, b in self._meeting():
             for i, one in enumerate(self._now(a)):
                 for j, other in enumerate(self._now(b)):
-                    if self._is_new(a, one) or self._is_new(b, other):
-                        if _goes_on(one, other):
-                            found.append((a, b, str(i), str(j)))
+                    new = self._is_new(a, one) or self._is_new(b, other)
+                    if new and _goes_on(one, other):
+                        found.append((a, b, str(i), str(j)))
         return found
 
     def _meeting(self) -> list[tuple[str, str]]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.twin.alignment import Alignment
 from geoorbit_ros.twin.fusion import FusionCounts
 from geoorbit_ros.twin.health import HealthReport, HealthWindow
 from geoorbit_ros.twin.network import RoadNetwork
@@ -29,11 +30,13 @@ class TrackStream:
         camera: Its name.
         frames: Stamp and `TRACK_DTYPE` rows in time order.
         datum: Origin of the frame that the rows are in.
+        alignment: Lays the tracks on the network; None leaves them where they are.
     """
 
     camera: str
     frames: Iterable[tuple[int, NDArray[np.void]]]
     datum: Datum
+    alignment: Alignment | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +96,8 @@ def replay_tracks(
     twin = Synchronizer(network, simulation, names, step_s, hold_s, take)
     for stream in streams:
         twin.set_datum(stream.camera, stream.datum)
+        if stream.alignment is not None:
+            twin.set_alignment(stream.camera, stream.alignment)
     tracks: set[tuple[str, int]] = set()
     for stamp_ns, camera, rows in heapq.merge(
         *(_named(stream) for stream in streams), key=lambda frame: frame[0]

@@ -1,4 +1,4 @@
-"""Networks moved: into the map frame, so that its coordinates are metres at the datum, or on earth."""
+"""Networks moved: into the map frame, so that coordinates are metres at the datum; on earth."""
 
 from __future__ import annotations
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.twin.alignment import Alignment
 from geoorbit_ros.twin.errors import SimulationError
 from geoorbit_ros.twin.network import RoadNetwork
 from geoorbit_ros.twin.placement import TwinStep
@@ -66,6 +67,10 @@ class TwinRunner:
     def set_datum(self, camera: str, datum: Datum) -> None:
         """Where a camera's map frame lies."""
         self.twin.set_datum(camera, datum)
+
+    def set_alignment(self, camera: str, alignment: Alignment) -> None:
+        """Lay a camera's tracks on the network."""
+        self.twin.set_alignment(camera, alignment)
 
     def restart(self, camera: str) -> None:
         """A camera's stream begins anew."""

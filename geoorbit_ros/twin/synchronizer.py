@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.twin.alignment import Alignment
 from geoorbit_ros.twin.camera_tracks import CameraTracks
 from geoorbit_ros.twin.fleet import Fleet
 from geoorbit_ros.twin.fusion import Fusion
@@ -75,6 +76,10 @@ class Synchronizer:
     def set_datum(self, camera: str, datum: Datum) -> None:
         """Where a camera's map frame lies; without it, where the network's does."""
         self._cameras[camera].set_datum(datum)
+
+    def set_alignment(self, camera: str, alignment: Alignment) -> None:
+        """Lay a camera's tracks on the network from the next frame on."""
+        self._cameras[camera].alignment = alignment
 
     def replace_simulation(self, simulation: Simulation) -> None:
         """Go on with another simulation, into which all vehicles enter with the next step."""

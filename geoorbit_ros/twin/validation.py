@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.core.lanes import Lane
@@ -36,17 +37,14 @@ class Validation:
         return {
             "alignment": {
                 "significant": a.significant,
-                "shift_east_m": round(float(a.shift_m[0]), 3),
-                "shift_north_m": round(float(a.shift_m[1]), 3),
-                "turn_deg": round(float(np.degrees(a.turn_rad)), 3),
-                "sigma_m": round(a.sigma_m, 3),
+                **a.values(),
                 "unobserved_heading_deg": _heading(a),
                 "residual_m": round(a.residual_m, 3),
                 "lanes": a.lanes,
             },
             "findings": [_record(finding, datum) for finding in self.findings],
             "not_seen": [{"lane": u.lane_id, "why": u.sentence} for u in self.discrepancies.unseen],
-            "compared": list(self.discrepancies.compared),
+            "compared_m": {k: round(m, 1) for k, m in self.discrepancies.compared.items()},
         }
 
 
@@ -63,6 +61,25 @@ def validate(lanes: Sequence[Lane], network: RoadNetwork) -> Validation:
     if alignment.significant:
         findings = (_offset(alignment), *findings)
     return Validation(alignment, findings, found)
+
+
+def in_frame(lanes: Sequence[Lane], datum: Datum, wanted: Datum) -> list[Lane]:
+    """Lanes of one map frame in another."""
+    if datum == wanted:
+        return list(lanes)
+
+    def move(line: NDArray[np.float64]) -> NDArray[np.float64]:
+        return wanted.to_local(*datum.to_geodetic(line).T)
+
+    return [
+        replace(
+            lane,
+            centerline_m=move(lane.centerline_m),
+            left_m=move(lane.left_m),
+            right_m=move(lane.right_m),
+        )
+        for lane in lanes
+    ]
 
 
 def say_alignment(a: Alignment) -> str:
