@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import InputFileError
+from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.learning.camera_task import load_task, required
 from geoorbit_ros.learning.fleet import Split
 from geoorbit_ros.learning.fleet_cameras import (
@@ -21,11 +22,11 @@ from geoorbit_ros.learning.lane_embedding import shipped_embedding
 from geoorbit_ros.learning.model_file import load_model
 from geoorbit_ros.learning.objective import DECIMALS, detect_lanes
 from geoorbit_ros.learning.parameter_space import DEFAULT_UNIT
-from geoorbit_ros.learning.study import CAMERAS, Study
+from geoorbit_ros.learning.study import CAMERAS, Study, seed_of
 from geoorbit_ros.learning.training import Mode
 from geoorbit_ros.learning.workers import Progress, quiet, spread, watched
 from geoorbit_ros.metrics.composite import LaneLosses, lane_losses
-from geoorbit_ros.metrics.score import LaneScore, score_lanes
+from geoorbit_ros.metrics.score import LaneScore, score_lanes, traffic_class
 
 Array = NDArray[np.float64]
 
@@ -40,7 +41,7 @@ class CameraResult:
     Attributes:
         losses: The paper's.
         score: Honest errors; None where the lanes were not surveyed.
-        count_right: Whether that is the right number (`metrics.lane_number`).
+        count_right: Whether the number of confirmed lanes is right, see `count_is_right`.
     """
 
     losses: LaneLosses
@@ -54,7 +55,7 @@ class ModelResult:
 
     Attributes:
         model: Its name in tables.
-        seed: Of its training; 0 where nothing is random.
+        seed: Of its training; where nothing is trained, the first one that used these cameras.
         split: Which cameras.
         cameras: Results by camera id.
     """
@@ -85,7 +86,22 @@ def evaluate(study: Study, estimator: str, progress: Progress = quiet) -> list[M
     Raises:
         InputFileError: Nothing was trained for this estimator.
     """
-    cameras = study.cameras(progress)
+    seeds = study.trained_seeds(estimator)
+    if not seeds:
+        raise InputFileError(str(study.folder / estimator), "no model", "geoorbit train first")
+    rows = []
+    for draw in range(study.fleet.draws):
+        drawn = [seed for seed in seeds if seed % study.fleet.draws == draw]
+        if drawn:
+            rows += _evaluate_draw(study, estimator, drawn, progress)
+    return rows
+
+
+def _evaluate_draw(
+    study: Study, estimator: str, seeds: Sequence[int], progress: Progress
+) -> list[ModelResult]:
+    """The rows of seeds that share their cameras."""
+    cameras = study.cameras(seeds[0], progress)
     seen, _ = teachers_and_judges(cameras)
     best = best_parameters(
         seen, estimator, study.folder / CAMERAS, study.workers, progress=progress
@@ -93,15 +109,14 @@ def evaluate(study: Study, estimator: str, progress: Progress = quiet) -> list[M
     common = np.mean([e.targets[0] for e in examples_of(seen, best).values()], axis=0)
     features = np.array([camera.features for camera in cameras])
     plans: list[tuple[str, int, Array]] = [
-        (BASELINE, 0, np.tile(DEFAULT_UNIT, (len(cameras), 1))),
-        (COMMON, 0, np.tile(common, (len(cameras), 1))),
+        (BASELINE, seeds[0], np.tile(DEFAULT_UNIT, (len(cameras), 1))),
+        (COMMON, seeds[0], np.tile(common, (len(cameras), 1))),
     ]
     for name, mode in _MODE.items():
         for path in study.models(estimator, mode):
-            seed = int(path.stem.rpartition("-")[2])
-            plans.append((name, seed, load_model(path).predict_unit(features)))
-    if len(plans) == 2:
-        raise InputFileError(str(study.folder / estimator), "no model", "geoorbit train first")
+            if seed_of(path) in seeds:
+                learner = load_model(path)
+                plans.append((name, seed_of(path), learner.predict_unit(features)))
     searched = np.array([best[camera.camera_id].theta for camera in seen])
     jobs = [
         (camera, theta)
@@ -115,7 +130,7 @@ def evaluate(study: Study, estimator: str, progress: Progress = quiet) -> list[M
         found = {camera.camera_id: next(results) for camera in cameras}
         rows += [_row(name, seed, split, cameras, found) for split in ("seen", "unseen")]
     found = {camera.camera_id: next(results) for camera in seen}
-    return [*rows, ModelResult(SEARCHED, 0, "seen", found)]
+    return [*rows, ModelResult(SEARCHED, seeds[0], "seen", found)]
 
 
 def _row(
@@ -157,4 +172,16 @@ def judge(job: _Job) -> CameraResult:
     asked, tolerated = required(task.truth)
     losses = lane_losses(lanes, asked, shipped_embedding(), tolerated=tolerated)
     score = score_lanes(lanes, task.truth) if task.surveyed else None
-    return CameraResult(losses, score, losses.lane_num == 0.0)
+    return CameraResult(losses, score, count_is_right(lanes, task.truth))
+
+
+def count_is_right(lanes: Sequence[Lane], truth: Sequence[Lane]) -> bool:
+    """Whether as many lanes are confirmed, and so published on `lanes`, as there are.
+
+    All with eight vehicles or more, or an unknown number, must be, those with three to seven may
+    be, and no more.
+    """
+    confirmed = sum(lane.status == "confirmed" for lane in lanes)
+    classes = [traffic_class(lane.vehicles) for lane in truth]
+    certain = sum(name in ("busy", "unknown") for name in classes)
+    return certain <= confirmed <= certain + classes.count("sparse")

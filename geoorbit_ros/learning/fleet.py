@@ -75,7 +75,10 @@ class Fleet(StrictModel):
         duration_s: How long each camera watches.
         seed: Of traffic, detector faults and map errors.
         seen: Cameras that take part in training.
-        unseen: Cameras that only judge.
+        unseen: Cameras that take no part, and by which models are compared.
+        draws: How many fleets are drawn, each with cameras of its own, the next ones in the order
+            of their seeds. Training with seed k uses draw k modulo `draws`. Recordings belong to
+            every draw.
         tilt_deg: In the middle of the view the first lane runs east or west, up to this many
             degrees off. Without it roads run anywhere.
         map: Errors of the reference that is learned from.
@@ -89,6 +92,7 @@ class Fleet(StrictModel):
     seed: Annotated[int, Field(ge=0)] = 1
     seen: Cameras
     unseen: Cameras
+    draws: Annotated[int, Field(ge=1, le=1000)] = 1
     tilt_deg: Annotated[float, Field(ge=0.0, le=90.0)] | None = None
     map: MapErrors = MapErrors()
     recordings_root: str = "GEOORBIT_REAL_DATA"
@@ -103,6 +107,15 @@ class Fleet(StrictModel):
             for seed in range(cameras.first, cameras.first + cameras.count):
                 found[f"camera_{seed:05d}"] = seed, split
         return found
+
+    def of_draw(self, draw: int) -> Fleet:
+        """The fleet that is one of the draws; the number counts on over the last."""
+        later = draw % self.draws
+        seen, unseen = (
+            Cameras(first=cameras.first + later * cameras.count, count=cameras.count)
+            for cameras in (self.seen, self.unseen)
+        )
+        return self.model_copy(update={"seen": seen, "unseen": unseen, "draws": 1})
 
     def recordings_folder(self) -> Path | None:
         """Where the recordings lie; None where the environment does not say."""

@@ -26,7 +26,7 @@ from geoorbit_ros.learning.loss_table import LossTable
 from geoorbit_ros.learning.meta_learner import MetaLearner
 from geoorbit_ros.learning.model_file import save_model
 from geoorbit_ros.learning.parameter_space import DEFAULT_UNIT
-from geoorbit_ros.learning.training import Mode, RunSettings, TrainedModel, train
+from geoorbit_ros.learning.training import MODES, Mode, RunSettings, TrainedModel, train
 from geoorbit_ros.learning.workers import Progress, quiet
 from geoorbit_ros.storage.atomic import atomic_output
 
@@ -55,11 +55,22 @@ class Study:
     def models(self, estimator: str, mode: Mode) -> list[Path]:
         """The trained models of an estimator and mode, one per seed."""
         found = (self.folder / estimator).glob(f"{mode}-*.npz")
-        return sorted(found, key=lambda path: int(path.stem.rpartition("-")[2]))
+        return sorted(found, key=seed_of)
 
-    def cameras(self, progress: Progress = quiet) -> list[FleetCamera]:
-        """All cameras of the fleet, simulated where they are not in the folder yet."""
-        return fleet_cameras(self.fleet, self.folder / CAMERAS, self.workers, progress)
+    def cameras(self, seed: int = 0, progress: Progress = quiet) -> list[FleetCamera]:
+        """The cameras that training with this seed is about, made where they are not there yet."""
+        fleet = self.fleet.of_draw(seed)
+        return fleet_cameras(fleet, self.folder / CAMERAS, self.workers, progress)
+
+    def trained_seeds(self, estimator: str) -> list[int]:
+        """Seeds of all trained models of an estimator, ascending."""
+        paths = [path for mode in MODES for path in self.models(estimator, mode)]
+        return sorted({seed_of(path) for path in paths})
+
+
+def seed_of(path: Path) -> int:
+    """The seed in the name of a model."""
+    return int(path.stem.rpartition("-")[2])
 
 
 def open_study(folder: Path, fleet_file: Path | None = None, workers: int = 1) -> Study:
@@ -98,7 +109,24 @@ def train_study(
     Raises:
         InputFileError: No seen camera on which a lane can be found.
     """
-    teachers, judges = teachers_and_judges(study.cameras(progress))
+    models: dict[tuple[Mode, int], TrainedModel] = {}
+    for draw in range(min(study.fleet.draws, len(seeds))):
+        drawn = [seed for seed in seeds if seed % study.fleet.draws == draw]
+        models |= _train_draw(study, estimator, modes, drawn, settings, progress)
+    return models
+
+
+def _train_draw(
+    study: Study,
+    estimator: str,
+    modes: Sequence[Mode],
+    seeds: Sequence[int],
+    settings: RunSettings,
+    progress: Progress,
+) -> dict[tuple[Mode, int], TrainedModel]:
+    """The models of seeds that share their cameras."""
+    cameras = study.cameras(seeds[0], progress)
+    teachers, judges = teachers_and_judges(cameras)
     best = best_parameters(
         teachers, estimator, study.folder / CAMERAS, study.workers, progress=progress
     )
@@ -116,7 +144,7 @@ def train_study(
         asked = [(name, learner.predict_unit(examples[name].features[0])) for name in names]
         return np.array([losses.total for losses in table.losses(asked)])
 
-    jury = jury_of(study.cameras(), examples, table)
+    jury = jury_of(cameras, examples, table)
     models: dict[tuple[Mode, int], TrainedModel] = {}
     for mode in modes:
         for seed in seeds:

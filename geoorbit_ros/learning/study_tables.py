@@ -58,14 +58,19 @@ def loss_table(rows: Sequence[ModelResult], estimator: str) -> Table:
     body = []
     for split, model, group in _groups(rows):
         fixed = [r for r in rows if (r.model, r.split) == (BASELINE, split)]
-        ratio = [_total(r) / _total(fixed[0], r) - 1.0 for r in group]
+        ratio = [_total(r) / _total(_of_same_cameras(fixed, r), r) - 1.0 for r in group]
         cells = [_spread([r.mean(term) for r in group]) for term in TERMS]
         median = _spread([r.median_total() for r in group])
         body.append([split, model, *cells, median, _percent(ratio)])
-    count = {row.split: len(row.cameras) for row in rows if row.model == BASELINE}
+    fixed = [row for row in rows if row.model == BASELINE]
+    count = {row.split: len(row.cameras) for row in fixed}
     cameras = ", ".join(f"{n} {split}" for split, n in count.items())
     seeds = max(len(group) for _, _, group in _groups(rows))
-    title = f"Losses, {estimator}: mean over cameras ({cameras}) ± spread over {seeds} seeds"
+    draws = len(fixed) // max(len(count), 1)
+    title = (
+        f"Losses, {estimator}: mean over cameras ({cameras} in each of {draws} draws) ± spread "
+        f"over {seeds} seeds"
+    )
     return Table(title, header, body)
 
 
@@ -76,6 +81,7 @@ def error_table(rows: Sequence[ModelResult], estimator: str) -> Table:
         "model",
         "no lane found %",
         "lane count right %",
+        "with tentative %",
         "all found, none invented %",
         "8+ veh. confirmed %",
         "3–7 veh. found %",
@@ -100,6 +106,7 @@ def error_table(rows: Sequence[ModelResult], estimator: str) -> Table:
                 model,
                 _number(100.0 * float(np.mean([r.losses.detected == 0 for r in results])), 1),
                 _number(100.0 * float(np.mean([r.count_right for r in results])), 1),
+                _number(100.0 * float(np.mean([r.losses.lane_num == 0.0 for r in results])), 1),
                 _number(100.0 * float(np.mean([_passed(r) for r in results])), 1),
                 _number(100.0 * tally.busy_confirmed / max(tally.busy, 1), 1),
                 _number(100.0 * tally.sparse_found / max(tally.sparse, 1), 1),
@@ -175,6 +182,10 @@ def _groups(rows: Sequence[ModelResult]) -> list[tuple[str, str, list[ModelResul
         for split, model in ordered
         if any(r.cameras for r in rows if (r.split, r.model) == (split, model))
     ]
+
+
+def _of_same_cameras(fixed: Sequence[ModelResult], row: ModelResult) -> ModelResult:
+    return next(f for f in fixed if set(row.cameras) <= set(f.cameras))
 
 
 def _passed(result: CameraResult) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from tasks import made_task
 
 from geoorbit_ros.cli.main import EXIT_BAD_INPUT, main
 from geoorbit_ros.learning.camera_task import load_task, save_task
+from geoorbit_ros.learning.evaluation import count_is_right
 from geoorbit_ros.learning.fleet import Cameras, Fleet, MapErrors, scene_task
 from geoorbit_ros.learning.history import load_history
 from geoorbit_ros.learning.local_training import Examples
@@ -158,3 +160,28 @@ def test_federated_and_central_training_end_near_each_other() -> None:
     )
     moved = np.abs(central - MetaLearner.untrained(0).predict_unit(features)).mean()
     assert np.abs(central - federated).mean() < 0.25 * moved
+
+
+def test_each_draw_has_cameras_of_its_own() -> None:
+    fleet = Fleet(
+        name="many", draws=3, seen=Cameras(first=5, count=4), unseen=Cameras(first=900, count=2)
+    )
+    drawn = [set(fleet.of_draw(draw).scenes) for draw in range(3)]
+    assert [len(cameras) for cameras in drawn] == [6, 6, 6]
+    assert len(set.union(*drawn)) == 18
+    assert set(fleet.of_draw(3).scenes) == drawn[0]
+    assert fleet.of_draw(1).of_draw(7) == fleet.of_draw(1)
+
+
+@pytest.mark.parametrize(
+    ("confirmed", "tentative", "right"),
+    [(1, 3, False), (2, 0, True), (3, 5, True), (4, 0, False)],
+)
+def test_the_lane_count_is_that_of_confirmed_lanes(
+    confirmed: int, tentative: int, right: bool
+) -> None:
+    lane = made_task().truth[0]
+    truth = [replace(lane, vehicles=n) for n in (8.0, 30.0, 7.0, 2.0)]
+    found = [replace(lane, status="confirmed")] * confirmed
+    found += [replace(lane, status="tentative")] * tentative
+    assert count_is_right(found, truth) is right
