@@ -101,17 +101,23 @@ class Fleet:
         assert self.server.round == number + 1
         return elapsed
 
-    def round_memory_bytes(self) -> int:
-        """Most memory that a round takes beyond what was there before it."""
+    def round_memory_bytes(self) -> tuple[int, int]:
+        """Most memory that a round takes beyond what was there before it.
+
+        Returns:
+            While updates come in, and until the next round is announced, checkpoint included.
+        """
         payloads = self.payloads()
+        last = payloads.pop()
         self.server.receive(payloads.pop(), 0.0)
         tracemalloc.start()
-        for payload in payloads[:-1]:
+        for payload in payloads:
             self.server.receive(payload, 0.0)
-        peak = tracemalloc.get_traced_memory()[1]
+        collecting = tracemalloc.get_traced_memory()[1]
+        self.server.receive(last, 0.0)
+        closing = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
-        self.server.receive(payloads[-1], 0.0)
-        return peak
+        return collecting, closing
 
 
 def report(name: str, ratio: float, limit: float | None, note: str) -> None:
@@ -153,11 +159,13 @@ def main() -> None:
             compare_speed(fleet, folder)
             memory[clients] = fleet.round_memory_bytes()
         few, many = CLIENTS
-        per_client = (memory[many] - memory[few]) / (many - few)
         update_bytes = 4 * fleet.updates.shape[1]
-        note = f"{memory[few] / 1e3:.0f} and {memory[many] / 1e3:.0f} kB at the peak of a round"
-        title = "memory of a round per further client / size of its update"
-        report(title, per_client / update_bytes, 0.05, note)
+        for k, part in enumerate(("while updates come in", "until the next one, checkpoint too")):
+            per_client = (memory[many][k] - memory[few][k]) / (many - few)
+            sizes = " and ".join(f"{memory[clients][k] / 1e3:.0f}" for clients in CLIENTS)
+            note = f"{sizes} kB, {per_client:.1f} B per client"
+            title = f"memory of a round {part}, per further client / size of its update"
+            report(title, per_client / update_bytes, 0.05, note)
 
 
 if __name__ == "__main__":

@@ -2,8 +2,9 @@
 
 camera_host.py NAME KEY_FILE SERVER_KEY FOLDER [ENCODING]    ends with 0 once training is over
 
-It keeps its state in FOLDER/NAME.npz, writes FOLDER/NAME.learning when it begins to learn, and does
-not end learning while FOLDER/NAME.hold is there.
+It keeps its state in FOLDER/NAME.npz and writes the round to FOLDER/NAME.learning when it begins to
+learn or judge for it. Where there is a FOLDER/NAME.go, it ends that only once the number in it is
+as high.
 """
 
 import sys
@@ -47,9 +48,11 @@ def main() -> int:
     folder = Path(place)
 
     def learned(task: Any, _: str, tensors: Any, order: Any, best: Any = None) -> Lesson:
-        (folder / f"{name}.learning").touch()
-        deadline = time.monotonic() + LIMIT_S
-        while (folder / f"{name}.hold").exists() and time.monotonic() < deadline:
+        (folder / f"{name}.learning").write_text(str(order.round))
+        deadline, go = time.monotonic() + LIMIT_S, folder / f"{name}.go"
+        while go.exists() and int(go.read_text() or 0) < order.round:
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"{go} stays below {order.round}")
             time.sleep(0.05)
         return Lesson(lesson(task.camera_id, tensors, order), np.zeros(3))
 

@@ -82,9 +82,26 @@ class Processes:
         process.kill()
         process.wait(10.0)
 
-    def learning(self, name: str) -> bool:
+    def learning(self, name: str, stage: int) -> bool:
+        """Whether a camera is at work on a round, or on judging the last model."""
         assert self.running[name].poll() is None, (self.folder / f"{name}.log").read_text()
-        return (self.folder / f"{name}.learning").exists()
+        path = self.folder / f"{name}.learning"
+        return path.exists() and path.read_text() == str(stage)
+
+    def all_learning(self, stage: int) -> None:
+        until(lambda: all(self.learning(name, stage) for name in CAMERAS), f"work on round {stage}")
+
+    def go(self, name: str, stage: int) -> None:
+        """Let a camera end its work on this round."""
+        (self.folder / f"{name}.go").write_text(str(stage))
+
+    def again(self, *names: str) -> None:
+        """Kill -9 all of these, then start them."""
+        for name in names:
+            self.kill(name)
+            (self.folder / f"{name}.learning").unlink(missing_ok=True)
+        for name in names:
+            self.start(name)
 
     def state(self) -> ServerState | None:
         path = self.folder / "server.npz"
@@ -125,23 +142,35 @@ def uninterrupted(roster: Roster) -> ServerState:
 
 
 def test_kill_9_in_mid_round_changes_no_bit_of_the_final_model(processes: Processes) -> None:
-    hold = {name: processes.folder / f"{name}.hold" for name in CAMERAS}
-    for path in hold.values():
-        path.touch()
+    for name in CAMERAS:
+        processes.go(name, 0)
     for name in ("server", *CAMERAS):
         processes.start(name)
-    until(lambda: all(processes.learning(name) for name in CAMERAS), "training")
-    # North's update is made and kept; the server, which may have it or not, is killed.
-    hold["north"].unlink()
+    processes.all_learning(1)
+    # North's update is made and kept; the server, which may have it or not, is killed, and south
+    # while it trains.
+    processes.go("north", 1)
     until((processes.folder / "north.npz").exists, "update of north")
-    processes.kill("server")
-    # South is killed while it trains for the round.
-    processes.kill("south")
-    (processes.folder / "south.learning").unlink()
-    processes.start("server")
-    processes.start("south")
-    until(lambda: processes.learning("south"), "training of south again")
-    hold["south"].unlink()
+    processes.again("server", "south")
+    until(lambda: processes.learning("south", 1), "training of south again")
+    processes.go("south", 1)
+    # Both cameras while they train; the server, which waits, stays.
+    processes.all_learning(2)
+    processes.again(*CAMERAS)
+    processes.all_learning(2)
+    for name in CAMERAS:
+        processes.go(name, 2)
+    # The server while both train.
+    processes.all_learning(3)
+    processes.again("server")
+    for name in CAMERAS:
+        processes.go(name, 3)
+    # Everybody while the last model is judged.
+    processes.all_learning(ROUNDS + 1)
+    processes.again("server", *CAMERAS)
+    processes.all_learning(ROUNDS + 1)
+    for name in CAMERAS:
+        processes.go(name, ROUNDS + 1)
 
     for name in CAMERAS:
         status = processes.running[name].wait(LIMIT_S)
