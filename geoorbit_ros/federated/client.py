@@ -160,7 +160,8 @@ class FederatedClient:
         if work.ready:
             return work.ready
         state = self._state
-        late = state is not None and state.round != work.round and not self._asynchronous
+        in_time_only = not (self._asynchronous and work.order.teach)
+        late = state is not None and state.round != work.round and in_time_only
         if state is None or late or state.answered >= work.round or not _usable(result, work.order):
             return None
         if self._masks:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 
 from geoorbit_ros.federated.client import FederatedClient, LocalResult, Work
 from geoorbit_ros.federated.envelope import schema_of
-from geoorbit_ros.federated.errors import FederationError
+from geoorbit_ros.federated.errors import FederationError, PayloadError, Refusal
 from geoorbit_ros.federated.secure_aggregation.message import SCHEMA as SECURE
 from geoorbit_ros.federated.server import FederatedServer
 from geoorbit_ros.federated.traffic import Traffic
@@ -101,7 +101,12 @@ def _hand_in(
     while waiting and not server.finished:
         payload = waiting.pop(0)
         traffic.up(payload)
-        following = server.receive(payload, now_s)
+        try:
+            following = server.receive(payload, now_s)
+        except PayloadError as error:
+            if not (server.asynchronous and error.reason is Refusal.OLD_ROUND):
+                raise
+            continue  # overtaken by others, as happens where nobody waits
         if following is not None and schema_of(following) == SECURE:
             traffic.down(following, len(clients))
             waiting += [step for client in clients if (step := client.assist(following))]

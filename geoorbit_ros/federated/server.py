@@ -65,6 +65,7 @@ class FederatedServer:
         checkpoint: File to resume from and to write after each round; default: none.
 
     Attributes:
+        asynchronous: Whether updates to earlier models are taken, too.
         accepted: Updates taken since the start.
         refused: Updates refused since the start, by reason.
 
@@ -87,10 +88,10 @@ class FederatedServer:
         self._teachers = tuple(m for m in self._members if is_teacher(m, config.judges))
         self._judges = tuple(m for m in self._members if is_judge(m, config.judges))
         self._strategy = strategy or FedAvg()
-        self._asynchronous = self._strategy.buffer_size > 0
+        self.asynchronous = self._strategy.buffer_size > 0
         self._selection = make_selection(config.selection, config.seed)
         self._admission = Admission(
-            config, roster, self.layout.size, asynchronous=self._asynchronous
+            config, roster, self.layout.size, asynchronous=self.asynchronous
         )
         self._announcer = Announcer(
             config,
@@ -215,7 +216,7 @@ class FederatedServer:
             The next payload for all clients, when a deadline has passed: that of the next round or
             step if there is a quorum, else this round's again, now open to all.
         """
-        waits_for_time = not self.finished and (self._state.trained or not self._asynchronous)
+        waits_for_time = not self.finished and (self._state.trained or not self.asynchronous)
         if not waits_for_time or now_s < self._deadline_s:
             return None
         if self._masked is not None:
@@ -246,7 +247,7 @@ class FederatedServer:
         """Whether everybody was heard who is waited for."""
         if self._state.trained:
             return self.judged >= len(self._judges)
-        apart = len(self._judges) if self.config.judges > 1 and not self._asynchronous else 0
+        apart = len(self._judges) if self.config.judges > 1 and not self.asynchronous else 0
         return self.collected >= self._wanted and self.judged >= apart
 
     def _new_round(self) -> OpenRound:
@@ -256,7 +257,7 @@ class FederatedServer:
         """Begin to collect for the open round; its clients, none for all."""
         number = self.config.clients_per_round
         chosen: tuple[int, ...] = ()
-        free = self._asynchronous or self._state.trained
+        free = self.asynchronous or self._state.trained
         if 0 < number < len(self._teachers) and not free:
             utility = self._state.ledger.of(self._teachers)
             chosen = self._selection.choose(self._teachers, number, self.round, utility)
@@ -371,4 +372,4 @@ class FederatedServer:
     def _flags(self) -> int:
         final = FINAL if self.finished else JUDGING if self._state.trained else 0
         masked = MASKED if self.config.secure_aggregation else 0
-        return final | masked | (ASYNCHRONOUS if self._asynchronous else 0)
+        return final | masked | (ASYNCHRONOUS if self.asynchronous else 0)

@@ -18,6 +18,7 @@ from geoorbit_ros.federated.errors import FederationError, PayloadError, Refusal
 from geoorbit_ros.federated.global_model import GlobalModel
 from geoorbit_ros.federated.in_process import run_in_process
 from geoorbit_ros.federated.server_config import ServerConfig
+from geoorbit_ros.federated.strategies.fedbuff import FedBuff
 from geoorbit_ros.federated.verdict import (
     GAIN_LIMIT,
     Ballot,
@@ -161,6 +162,17 @@ def test_masked_judges_give_the_verdict_of_open_ones() -> None:
         assert hidden.gain == pytest.approx(open_.gain, abs=1e-4)
         assert hidden.gain_error == pytest.approx(open_.gain_error, abs=1e-2)
         assert hidden.approved == open_.approved
+
+
+def test_an_asynchronous_server_has_its_models_judged_too() -> None:
+    config = replace(CONFIG, encoding="float32", max_staleness=3)
+    federation = Federation(NAMES, config, lambda: FedBuff(3, 1.0))
+    run(federation)
+    server = federation.server
+    assert [r.updates for r in server.history] == [*[3] * CONFIG.rounds, 0]
+    assert server.verdict.accepted
+    assert server.verdict.judges == len(JUDGES)
+    assert {client.used for client in federation.clients} == {federation.clients[0].model_of[2]}
 
 
 def rounds_of(federation: Federation, number: int) -> list[bytes]:
