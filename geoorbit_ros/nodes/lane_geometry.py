@@ -46,6 +46,7 @@ class LaneGeometryParameters:
     restart_jump_s: float
     federation: str
     lane_parameters_key: str
+    map_prior: bool
 
     @property
     def theta(self) -> LaneParameters:
@@ -76,7 +77,8 @@ class LaneGeometryNode(GeoOrbitNode[LaneGeometryParameters]):
         self._mapper = LiveMapper(
             p.estimator, self.theta, p.update_period_s, file, self.diagnostics.warn
         )
-        self._lanes = LanePublisher(self, p.frame_id, p.estimator, tentative=p.publish_tentative)
+        tentative, prior = p.publish_tentative, p.map_prior
+        self._lanes = LanePublisher(self, p.frame_id, p.estimator, tentative=tentative, prior=prior)
         TableStream(self, "tracks", TRACK_DTYPE, p, self._on_frame, self._mapper.restart)
         self.create_subscription(NavSatFix, "datum", self._on_datum, LATCHED)
         subscribe_payloads(self, "lane_parameters", LATCHED, self._on_theta)
@@ -127,9 +129,6 @@ class LaneGeometryNode(GeoOrbitNode[LaneGeometryParameters]):
         self._lanes.publish(lane_map, self.datum)
         self.diagnostics.published += 1
         self.lane_maps += 1
-        if self.datum is None:
-            topic = self.resolve_topic_name("datum")
-            self.diagnostics.warn(f"{topic}: nothing received, so lanes/geojson is not published")
 
     def _on_update(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.success = self.frames > 0

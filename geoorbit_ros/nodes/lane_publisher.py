@@ -23,6 +23,7 @@ from geoorbit_ros.core.lanes import Lane, LaneMap
 from geoorbit_ros.lanes.geojson import dumps_lanes
 from geoorbit_ros.nodes.base import GeoOrbitNode
 from geoorbit_ros.nodes.latched import LATCHED
+from geoorbit_ros.nodes.prior_listener import PriorListener
 
 
 class LanePublisher:
@@ -36,11 +37,19 @@ class LanePublisher:
         frame_id: Frame of the map.
         estimator: Name for the GeoJSON.
         tentative: Whether tentative lanes get a pose and paths.
+        prior: Whether what a map says about sparse lanes is heard (`lanes.map_prior`).
     """
 
     def __init__(
-        self, node: GeoOrbitNode[Any], frame_id: str, estimator: str, *, tentative: bool
+        self,
+        node: GeoOrbitNode[Any],
+        frame_id: str,
+        estimator: str,
+        *,
+        tentative: bool,
+        prior: bool,
     ) -> None:
+        self._prior = PriorListener(node) if prior else None
         self._node, self._frame_id = node, frame_id
         self._estimator, self._tentative = estimator, tentative
         self._poses = node.create_publisher(PoseArray, "lanes", LATCHED)
@@ -51,6 +60,8 @@ class LanePublisher:
 
     def publish(self, lane_map: LaneMap, datum: Datum | None) -> None:
         """Publish a map; GeoJSON only when the datum is known."""
+        if self._prior is not None:
+            lane_map = self._prior.refine(lane_map)
         stamp_ns, frame_id = lane_map.stamp_ns, self._frame_id
         lanes = lane_map.lanes if self._tentative else lane_map.confirmed
         self._retire({lane.lane_id for lane in lanes}, stamp_ns)
@@ -58,7 +69,11 @@ class LanePublisher:
             self._publish_paths(lane, stamp_ns)
         self._poses.publish(encode_pose_array(stamp_ns, frame_id, *lane_poses(lanes)))
         self._markers.publish(lane_markers(lane_map, frame_id))
-        if datum is not None:
+        if datum is None:
+            topic = self._node.resolve_topic_name("datum")
+            text = f"{topic}: nothing received, so lanes/geojson is not published"
+            self._node.diagnostics.warn(text)
+        else:
             camera_id = self._node.camera_id
             text = dumps_lanes(lane_map, datum, camera_id=camera_id, estimator=self._estimator)
             self._geojson.publish(encode_string(text))

@@ -11,22 +11,21 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from rclpy.publisher import Publisher
 from sensor_msgs.msg import NavSatFix
 
-from geoorbit_ros.calibration.datum import Datum, given_datum
+from geoorbit_ros.calibration.datum import given_datum
 from geoorbit_ros.conversions import datum_from_fix
 from geoorbit_ros.core.errors import GeoOrbitError, MessageError
 from geoorbit_ros.core.tables import TRACK_DTYPE
 from geoorbit_ros.nodes.base import GeoOrbitNode
 from geoorbit_ros.nodes.latched import LATCHED
+from geoorbit_ros.nodes.map_validator import MapValidator
 from geoorbit_ros.nodes.process import run_node
-from geoorbit_ros.nodes.reference_publisher import publish_references
+from geoorbit_ros.nodes.reference_publisher import ReferencePublisher
 from geoorbit_ros.nodes.table_stream import TableStream, stream_qos
 from geoorbit_ros.nodes.twin_publisher import TwinPublisher
 from geoorbit_ros.twin.cameras import read_views, split_names
 from geoorbit_ros.twin.network import load_network
-from geoorbit_ros.twin.references import reference_lanes
 from geoorbit_ros.twin.runner import TwinRunner
 from geoorbit_ros.twin.simulation import SumoSimulation, backend_of
 
@@ -51,6 +50,8 @@ class SumoBridgeParameters:
     reliability: str
     queue_depth: int
     restart_jump_s: float
+    map_check_period_s: float
+    align: bool
 
 
 class SumoBridgeNode(GeoOrbitNode[SumoBridgeParameters]):
@@ -58,7 +59,7 @@ class SumoBridgeNode(GeoOrbitNode[SumoBridgeParameters]):
 
     `twin/vehicles`, `twin/tracks` (the same with ids, sizes and classes), `twin/datum`,
     `twin/health`, and for each camera whose datum has come the network's lanes in its view on
-    `<camera>/reference/lane_<k>/…`.
+    `<camera>/reference/lane_<k>/…`. Cameras' lanes are compared with the network (`MapValidator`).
 
     Raises:
         GeoOrbitError: A parameter, the network or a calibration can't be used, or SUMO doesn't
@@ -73,8 +74,8 @@ class SumoBridgeNode(GeoOrbitNode[SumoBridgeParameters]):
         p = self.p
         place = f"node '{self.get_fully_qualified_name()}'"
         cameras = split_names(p.cameras, f"{place}, parameter 'cameras'")
-        self._views = read_views(cameras, p.calibrations, p.image_sizes, f"{place}, parameter ")
-        self._references: dict[str, list[Publisher]] = {}
+        views = read_views(cameras, p.calibrations, p.image_sizes, f"{place}, parameter ")
+        self._references = ReferencePublisher(self, p.network, views, p.frame_id)
         datum = given_datum(p.datum_latitude_deg, p.datum_longitude_deg, place)
         network = load_network(p.network, datum)
         backend = backend_of(p.backend, p.gui)
@@ -84,7 +85,9 @@ class SumoBridgeNode(GeoOrbitNode[SumoBridgeParameters]):
             self, network.datum, p.frame_id, qos, p.health_period_s, clock=p.publish_clock
         )
         self.runner = TwinRunner(network, start, cameras, p.step_s, p.hold_s, self.twin.publish)
-        self.known: dict[str, Datum] = {}
+        align, period_s = self.runner.set_alignment if p.align else None, p.map_check_period_s
+        self.map = MapValidator(self, network, cameras, p.frame_id, period_s, align)
+        self.known = self.map.datums
         for camera in cameras:
             datum_topic = self.resolve_topic_name(f"{camera}/datum")
             on_datum, on_frame = (
@@ -106,32 +109,25 @@ class SumoBridgeNode(GeoOrbitNode[SumoBridgeParameters]):
             "vehicles_lost": twin.placement.lost,
             "simulation_restarts": self.runner.restarts,
             **asdict(twin.fusion.counts),
+            **self.map.diagnostic_values(),
         }
 
     def close(self) -> None:
         """End the simulation."""
-        if hasattr(self, "runner"):
+        if hasattr(self, "map"):
+            self.map.close()
             self.runner.close()
 
     def _on_datum(self, camera: str, place: str, fix: NavSatFix) -> None:
         try:
             datum = datum_from_fix(fix, place)
             if datum != self.known.get(camera):
-                self._refer(camera, datum)
+                self._references.refer(camera, datum)
         except GeoOrbitError as error:
             self.diagnostics.refuse(error)
             return
         self.known[camera] = datum
         self.runner.set_datum(camera, datum)
-
-    def _refer(self, camera: str, datum: Datum) -> None:
-        """Publish the network's lanes in the frame of the camera's tracks."""
-        if (view := self._views.get(camera)) is None:
-            return
-        lanes = reference_lanes(load_network(self.p.network, datum), view.polygon_in(datum))
-        for publisher in self._references.pop(camera, []):
-            self.destroy_publisher(publisher)
-        self._references[camera] = publish_references(self, camera, self.p.frame_id, lanes)
 
     def _on_frame(self, camera: str, place: str, stamp_ns: int, rows: NDArray[np.void]) -> None:
         self.twin.arrived_s = time.perf_counter()

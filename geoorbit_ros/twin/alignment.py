@@ -98,6 +98,19 @@ class Alignment:
         """Whether camera and map disagree by more than they may by chance."""
         return self.size_m > max(SIGNIFICANT_M, SIGNIFICANT_SIGMAS * self.sigma_m)
 
+    def about_origin(
+        self, centre_m: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The same movement as a turn about the origin: shift (2,) and covariance (3, 3).
+
+        Args:
+            centre_m: (2,) where `centre_m` lies from that origin.
+        """
+        x, y = centre_m
+        shift = centre_m + self.shift_m - _turned(centre_m, self.turn_rad)
+        step = np.array([[1.0, 0.0, y], [0.0, 1.0, -x], [0.0, 0.0, 1.0]])
+        return shift, np.asarray(step @ self.covariance @ step.T)
+
     def values(self) -> dict[str, float]:
         """Figures for reports."""
         return {

@@ -301,7 +301,7 @@ def _extra(
             if sure < EXTRA_CONFIDENCE:
                 needed = EXTRA_CONFIDENCE / (1.0 - EXTRA_CONFIDENCE) * max(others, 1) - vehicles
                 text = (
-                    f"no traffic seen on {name}; {ceil(needed)} more vehicles beside it "
+                    f"no traffic seen on {name}; {ceil(needed - 1e-6)} more vehicles beside it "
                     "would say that it isn't there"
                 )
                 unseen.append(Unseen(name, text))

@@ -1,0 +1,135 @@
+"""A camera's lanes against a map: what is wrong is found, what is right is left alone."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+from made_detections import detected, lane
+from made_twin import made_network
+
+from geoorbit_ros.core.errors import NoTrafficError
+from geoorbit_ros.core.lanes import Lane
+from geoorbit_ros.twin.alignment import align
+from geoorbit_ros.twin.errors import RoadNetworkError
+from geoorbit_ros.twin.map_errors import SHIFT_M, WIDTH_M, Error, plant
+from geoorbit_ros.twin.network import RoadNetwork, load_network
+from geoorbit_ros.twin.patch import patch_network
+from geoorbit_ros.twin.validation import say_alignment, validate
+
+
+@pytest.fixture(scope="module")
+def network(tmp_path_factory: pytest.TempPathFactory) -> RoadNetwork:
+    return load_network(made_network(tmp_path_factory.mktemp("net")))
+
+
+@pytest.fixture(scope="module")
+def lanes(network: RoadNetwork) -> list[Lane]:
+    return detected(network)
+
+
+def moved(lanes: list[Lane], shift: tuple[float, float], turn_deg: float = 0.0) -> list[Lane]:
+    """Lanes as a camera sees them whose map frame is displaced."""
+    cos, sin = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
+    turn = np.array([[cos, sin], [-sin, cos]])
+    middle = np.concatenate([each.centerline_m for each in lanes]).mean(axis=0)
+    return [
+        replace(each, centerline_m=(each.centerline_m - middle) @ turn + middle + shift)
+        for each in lanes
+    ]
+
+
+def test_a_right_map_has_no_finding(network: RoadNetwork, lanes: list[Lane]) -> None:
+    found = validate(lanes, network)
+    assert found.findings == ()
+    assert not found.alignment.significant
+    assert {"east_0", "bend_2", "west_1", "ramp_0"} <= set(found.discrepancies.compared)
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 0.6])
+def test_a_displaced_camera_is_laid_on_the_map(
+    network: RoadNetwork, lanes: list[Lane], turn_deg: float
+) -> None:
+    seen = moved(lanes, (0.8, -1.1), turn_deg)
+    alignment = align(seen, network)
+    assert alignment.significant
+    # The bend makes both directions known.
+    assert not alignment.unobserved.any()
+    for there, here in zip(lanes, seen, strict=True):
+        apart = alignment.points(here.centerline_m) - there.centerline_m
+        assert np.abs(apart).max() < 0.3
+    back = alignment.inverse_points(alignment.points(seen[0].centerline_m))
+    assert np.abs(back - seen[0].centerline_m).max() < 1e-9
+
+
+def test_along_a_straight_road_nothing_is_known(network: RoadNetwork, lanes: list[Lane]) -> None:
+    straight = [
+        replace(each, centerline_m=each.centerline_m[each.centerline_m[:, 0] < 280.0])
+        for each in lanes[:5]
+    ]
+    alignment = align(moved(straight, (3.0, 1.0)), network)
+    assert np.abs(alignment.unobserved @ [1.0, 0.0]) == pytest.approx(1.0, abs=1e-3)
+    assert alignment.shift_m[0] == pytest.approx(0.0, abs=0.05)
+    assert alignment.shift_m[1] == pytest.approx(-1.0, abs=0.15)
+    assert "along 90°, where all lanes run, not known" in say_alignment(alignment)
+
+
+@pytest.mark.parametrize("error", get_args(Error))
+def test_a_planted_error_is_found_and_mended(
+    network: RoadNetwork, lanes: list[Lane], error: Error, tmp_path: Path
+) -> None:
+    (tmp_path / "plain").mkdir()
+    (tmp_path / "out").mkdir()
+    named = plant(error, network, "east_0", tmp_path / "bad.net.xml", tmp_path / "plain")
+    bad = load_network(tmp_path / "bad.net.xml", network.datum)
+    result = patch_network(lanes, bad, tmp_path / "out")
+    findings = result.before.findings
+    assert {f.kind for f in findings} == {error}
+    sizes = {"shifted": SHIFT_M, "offset": SHIFT_M, "width": WIDTH_M}
+    if error in sizes:
+        for f in findings:
+            assert abs(f.measured - f.expected) == pytest.approx(sizes[error], abs=0.25)
+    if error in ("extra", "width"):
+        assert [f.lane_id for f in findings] == [named]
+    assert all(f.lane_id.startswith(named.rpartition("_")[0]) for f in findings)
+    assert all(f.confidence > 0.8 for f in findings)
+    assert result.after.findings == ()
+    assert result.left == ()
+    for name in ("east_0", "east_2", "bend_0", "west_0", "ramp_0"):
+        true, mended = network.line(network.number[name]), result.network
+        line = mended.line(mended.number[name])
+        for end in (0, -1):
+            assert np.hypot(*(true[end] - line[end])) < 12.0  # junctions are cut anew
+        middle = true[len(true) // 2]
+        assert np.hypot(*(line - middle).T).min() < 8.0
+    assert len(result.network.lane_id) >= 9
+
+
+def test_an_empty_lane_is_extra_only_beside_enough_traffic(
+    network: RoadNetwork, tmp_path: Path
+) -> None:
+    (tmp_path / "plain").mkdir()
+    plant("extra", network, "west_1", tmp_path / "bad.net.xml", tmp_path / "plain")
+    bad = load_network(tmp_path / "bad.net.xml", network.datum)
+    few = validate(detected(network, vehicles=3.0), bad)
+    assert few.findings == ()
+    assert [u.lane_id for u in few.discrepancies.unseen] == ["west_2"]
+    assert "2 more vehicles" in few.discrepancies.unseen[0].sentence
+    many = validate(detected(network, vehicles=20.0), bad)
+    assert [(f.kind, f.lane_id) for f in many.findings] == [("extra", "west_2")]
+
+
+def test_a_tentative_lane_shows_use_and_no_more(network: RoadNetwork, lanes: list[Lane]) -> None:
+    seen = [replace(each, status="tentative") if each.lane_id == 1 else each for each in lanes]
+    seen.append(replace(lane(9, lanes[0].centerline_m - np.array([0.0, 3.6])), status="tentative"))
+    assert validate(seen, network).findings == ()
+
+
+def test_without_confirmed_lanes_or_elsewhere_one_sentence(
+    network: RoadNetwork, lanes: list[Lane]
+) -> None:
+    with pytest.raises(NoTrafficError, match="none confirmed"):
+        validate([replace(lanes[0], status="tentative")], network)
+    with pytest.raises(RoadNetworkError, match=r"nearest is \d+ m away"):
+        validate(moved(lanes, (5000.0, 0.0)), network)
