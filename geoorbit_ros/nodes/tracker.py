@@ -28,6 +28,7 @@ class TrackerNodeParameters:
     low_score: float
     birth_score: float
     confirm_hits: int
+    confirm_score: float
     max_gap_s: float
     predict_s: float
     image_width: int
@@ -44,6 +45,7 @@ class TrackerNodeParameters:
             self.low_score,
             self.birth_score,
             self.confirm_hits,
+            self.confirm_score,
             self.max_gap_s,
             self.predict_s,
             self.image_width,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.tracking.motion import MEAN, VARIANCE
+from geoorbit_ros.tracking.motion import MEAN, TAIL, VARIANCE
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -45,6 +45,7 @@ class Pairs:
 
 def candidate_pairs(
     predicted: Array,
+    track_cost: Array,
     confirmed: NDArray[np.bool_],
     track_class: NDArray[np.int64],
     measured: Array,
@@ -59,6 +60,7 @@ def candidate_pairs(
 
     Args:
         predicted: (5, 4, N) states at the time of the detections, see `motion`.
+        track_cost: (N,) cost of each track beside its distance.
         confirmed: (N,) whether the track is.
         track_class: (N,) its class.
         measured: (4, M) measurements.
@@ -77,7 +79,7 @@ def candidate_pairs(
     inside = np.flatnonzero(distance < GATE)
     track, detection, total = track[inside], detection[inside], total[:, inside]
     spread_share = (total / variance[:, detection]).prod(axis=0)
-    cost = distance[inside] + SPREAD_WEIGHT * np.log(spread_share)
-    cost += TENTATIVE_COST * ~confirmed[track]
+    cost = (TAIL + 4.0) * np.log1p(distance[inside] / TAIL) + SPREAD_WEIGHT * np.log(spread_share)
+    cost += track_cost[track] + TENTATIVE_COST * ~confirmed[track]
     cost += CLASS_COST * (track_class[track] != detection_class[detection])
     return Pairs(track, detection, cost)

@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 MEAN, RATE, VARIANCE, COVARIANCE, RATE_VARIANCE = range(5)
 MAX_GROWTH = 2.0
 """Relative growth, 1/s, beyond which it is an error: that of a vehicle 15 m away at 30 m/s."""
+TAIL = 6.0
+"""Degrees of freedom of the errors of boxes; fewer are heavier tails."""
 MAX_APPROACH = 0.6
 """Share of the time to contact up to which a prediction is stretched; beyond, it is a guess."""
 
@@ -53,6 +55,12 @@ class MotionNoise:
     speed: float = 6.0
     growth_rate: float = 0.65
 
+    def rate_variance(self, box: Array) -> Array:
+        """(4, N) of the rates of vehicles not seen before, in boxes (4, N)."""
+        variance = np.full(box.shape, self.growth_rate**2)
+        variance[:2] = self.speed**2 * box[2] * box[3]
+        return variance
+
 
 def measurements(box: Array) -> Array:
     """(4, N) x, y, log width, log height of boxes (4, N) x, y, width, height."""
@@ -68,13 +76,18 @@ def measurement_variance(box: Array, noise: MotionNoise) -> Array:
     return variance
 
 
-def start(box: Array, variance: Array, noise: MotionNoise) -> Array:
-    """(5, 4, N) states of tracks first seen in boxes (4, N) with variances (4, N)."""
+def start(box: Array, variance: Array, rate: Array, rate_variance: Array) -> Array:
+    """(5, 4, N) states of tracks first seen in boxes (4, N), with what is expected of their rates.
+
+    Args:
+        box: (4, N) x, y, width, height.
+        variance: (4, N) of its measurements.
+        rate: (4, N) expected rates.
+        rate_variance: (4, N) their variances.
+    """
     state = np.zeros((5, *box.shape))
-    state[MEAN] = measurements(box)
-    state[VARIANCE] = variance
-    state[RATE_VARIANCE, :2] = noise.speed**2 * box[2] * box[3]
-    state[RATE_VARIANCE, 2:] = noise.growth_rate**2
+    state[MEAN], state[VARIANCE] = measurements(box), variance
+    state[RATE], state[RATE_VARIANCE] = rate, rate_variance
     return state
 
 
@@ -118,3 +131,17 @@ def correct(predicted: Array, measured: Array, variance: Array) -> Array:
     after[COVARIANCE] = rate_gain * variance
     after[RATE_VARIANCE] = predicted[RATE_VARIANCE] - rate_gain * predicted[COVARIANCE]
     return after
+
+
+def correct_in_doubt(predicted: Array, measured: Array, variance: Array) -> Array:
+    """`correct`, in which measurements count less the farther they are from their prediction.
+
+    Errors of boxes have heavy tails: a detector splits a vehicle, or merges it with another. Under
+    Student's t distribution with `TAIL` degrees of freedom a measurement at squared distance d in
+    1-sigma errors has (TAIL + d) / (TAIL + 4) times its variance (Lange, Little, Taylor 1989,
+    "Robust statistical modeling using the t distribution"); near ones keep theirs.
+    """
+    error = measured - predicted[MEAN]
+    distance = (error * error / (predicted[VARIANCE] + variance)).sum(axis=0)
+    doubt = np.maximum((TAIL + distance) / (TAIL + 4.0), 1.0)
+    return correct(predicted, measured, variance * doubt)

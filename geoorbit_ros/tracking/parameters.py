@@ -12,6 +12,7 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "low_score": (0.0, 1.0),
     "birth_score": (0.0, 1.0),
     "confirm_hits": (1, 100),
+    "confirm_score": (0.0, 1.0),
     "max_gap_s": (0.0, 60.0),
     "predict_s": (0.0, 60.0),
     "image_width": (0, 32768),
@@ -30,6 +31,7 @@ class TrackerParameters:
             weaker ones are ignored.
         birth_score: Confidence that begins a track.
         confirm_hits: Observations after which a track gets its id and is published.
+        confirm_score: Confidence above which one observation is enough.
         max_gap_s: A track unobserved for longer has ended.
         predict_s: Unobserved tracks are published, flagged as predicted, for this long.
         image_width: Of the camera's image in pixels, 0 when unknown: with it boxes cut by the
@@ -45,6 +47,7 @@ class TrackerParameters:
     low_score: float = 0.1
     birth_score: float = 0.42
     confirm_hits: int = 2
+    confirm_score: float = 0.6
     max_gap_s: float = 1.5
     predict_s: float = 0.4
     image_width: int = 0

@@ -32,6 +32,9 @@ class TrackTable:
         lead: (N,) its lead over the others, in votes weighted by confidence.
         score: (N,) confidence of the last observation.
         cut: (N,) whether the image border cut the last box.
+        entering: (N,) whether the border cut all boxes so far.
+        foreseen: (2, N) frames since the last observation in which it was predicted in the open and
+            hidden.
     """
 
     state: Array = field(default_factory=lambda: np.empty((5, 4, 0)))
@@ -45,6 +48,8 @@ class TrackTable:
     lead: Array = field(default_factory=lambda: np.empty(0))
     score: Array = field(default_factory=lambda: np.empty(0))
     cut: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, np.bool_))
+    entering: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, np.bool_))
+    foreseen: Array = field(default_factory=lambda: np.empty((2, 0)))
 
     def __len__(self) -> int:
         return len(self.stamp_ns)
@@ -76,6 +81,8 @@ class TrackTable:
             lead=score.copy(),
             score=score,
             cut=found.cut[which],
+            entering=found.cut[which],
+            foreseen=np.zeros((2, len(which))),
         )
 
     def observe(
@@ -92,9 +99,11 @@ class TrackTable:
         self.stamp_ns[which] = stamp_ns
         self.hits[which] += 1
         self.missed[which] = 0
+        self.foreseen[:, which] = 0.0
         score = found.score[partner]
         self.score[which] = score
         self.cut[which] = found.cut[partner]
+        self.entering[which] &= found.cut[partner]
         # The majority vote of Boyer and Moore (1981): one candidate and its lead are enough.
         kind = found.class_id[partner]
         lead = self.lead[which] + np.where(self.class_id[which] == kind, score, -score)

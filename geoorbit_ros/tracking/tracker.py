@@ -21,23 +21,25 @@ from geoorbit_ros.core.tables import (
 )
 from geoorbit_ros.tracking.assignment import assign
 from geoorbit_ros.tracking.candidates import Pairs, candidate_pairs
+from geoorbit_ros.tracking.flow import Flow
+from geoorbit_ros.tracking.foresight import Foresight, hidden
 from geoorbit_ros.tracking.frame_detections import FrameDetections, prepare
-from geoorbit_ros.tracking.motion import MEAN, MotionNoise, correct, predict, start
+from geoorbit_ros.tracking.motion import MEAN, MotionNoise, correct_in_doubt, predict, start
 from geoorbit_ros.tracking.parameters import TrackerParameters
 from geoorbit_ros.tracking.track_table import TrackTable
 
 Array = NDArray[np.float64]
 
-PAIR_LIMIT = 45.0
+PAIR_LIMIT = 36.0
 """Cost at which a detection rather is another vehicle."""
+GAP_COST = 4.0
+"""Cost of a second unobserved: the longer, the likelier the vehicle is gone and this another."""
 WEAK_GAP_S = 0.8
 """Weak detections continue tracks that were observed this recently."""
-SHORT_GAP_S = 0.3
-"""The least time, if more than a frame, that any track may be unobserved."""
-PATIENCE = 2.3
-"""A track may be unobserved this many times as long as it was observed: short ones are doubtful."""
 FORESIGHT = 0.3
 """A track is predicted for this many times as long as it was observed."""
+FLOW_S = 0.3
+"""A track tells how traffic moves once in this time."""
 MAX_TRACKS = 2000
 """More at once are no traffic; those unobserved longest are dropped."""
 MAX_ID = 2**31 - 1
@@ -90,6 +92,8 @@ class Tracker:
     def reset(self) -> None:
         """Forget all tracks, for a source that starts again; ids go on."""
         self._tracks = TrackTable()
+        self._flow = Flow()
+        self._foresight = Foresight()
         self._stamp_ns: int | None = None
 
     @property
@@ -132,14 +136,23 @@ class Tracker:
             np.count_nonzero((elapsed_s[hit] > self._p.predict_s) & (tracks.track_id[hit] > 0))
         )
         tracks.missed += 1
-        state = correct(predicted[:, :, hit], found.measured[:, of_hit], found.variance[:, of_hit])
+        state = correct_in_doubt(
+            predicted[:, :, hit], found.measured[:, of_hit], found.variance[:, of_hit]
+        )
+        # A vehicle that enters piece by piece shows no speed: its motion begins with a whole box.
+        anew = tracks.entering[hit]
+        state[:, :, anew] = self._start(found, of_hit[anew])
+        self._foresight.learn(tracks.foreseen[:, hit], right=True)
+        before_s = tracks.observed_s()[hit]
         tracks.observe(hit, stamp_ns, state, found, of_hit)
+        due = tracks.observed_s()[hit] // FLOW_S > before_s // FLOW_S
+        self._flow.add(state[:, :, due & (tracks.track_id[hit] > 0) & ~anew])
         left = self._outside(predicted)
         predicted = predicted[:, :, ~left]
         self._end(left)
         self._begin(stamp_ns, found, partner)
         self._confirm()
-        return self._output(stamp_ns, predicted)
+        return self._output(stamp_ns, predicted, found)
 
     def _check(self, stamp_ns: int, detections: NDArray[np.void]) -> None:
         if detections.dtype != DETECTION_DTYPE:
@@ -165,6 +178,7 @@ class Tracker:
             return partner
         pairs = candidate_pairs(
             predicted,
+            GAP_COST * elapsed_s,
             tracks.track_id > 0,
             tracks.class_id,
             found.measured,
@@ -181,7 +195,8 @@ class Tracker:
 
     def _confirm(self) -> None:
         tracks = self._tracks
-        fresh = np.flatnonzero((tracks.track_id == 0) & (tracks.hits >= self._p.confirm_hits))
+        sure = (tracks.hits >= self._p.confirm_hits) | (tracks.score > self._p.confirm_score)
+        fresh = np.flatnonzero((tracks.track_id == 0) & sure)
         if len(fresh):
             if self._next_id + len(fresh) - 1 > MAX_ID:
                 self._next_id = 1
@@ -190,11 +205,9 @@ class Tracker:
             self.counts.births += len(fresh)
 
     def _expired(self, elapsed_s: Array) -> NDArray[np.bool_]:
-        """(N,) tracks that were unobserved for too long before this frame."""
+        """(N,) tracks that have been unobserved for too long."""
         tracks = self._tracks
-        patience_s = SHORT_GAP_S + PATIENCE * tracks.observed_s()
-        expired = elapsed_s > np.minimum(patience_s, self._p.max_gap_s)
-        expired &= (tracks.missed > 0) | (elapsed_s > self._p.max_gap_s)
+        expired = elapsed_s > self._p.max_gap_s
         if len(tracks) > MAX_TRACKS:
             longest = np.argsort(-elapsed_s, kind="stable")
             expired[longest[: len(tracks) - MAX_TRACKS]] = True
@@ -210,6 +223,7 @@ class Tracker:
 
     def _end(self, ended: NDArray[np.bool_]) -> None:
         if ended.any():
+            self._foresight.learn(self._tracks.foreseen[:, ended], right=False)
             self.counts.deaths += int(np.count_nonzero(ended & (self._tracks.track_id > 0)))
             self._tracks.keep(~ended)
 
@@ -218,27 +232,43 @@ class Tracker:
         free[partner[partner >= 0]] = False
         new = np.flatnonzero(free)
         if len(new):
-            state = start(found.box[:, new], found.variance[:, new], self._noise)
+            state = self._start(found, new)
             self._tracks.append(TrackTable.started(stamp_ns, state, found, new))
 
-    def _output(self, stamp_ns: int, predicted: Array) -> NDArray[np.void]:
+    def _start(self, found: FrameDetections, which: NDArray[np.intp]) -> Array:
+        """(5, 4, K) states of vehicles seen for the first time in detections `which`."""
+        box = found.box[:, which]
+        return start(box, found.variance[:, which], *self._flow.expect(box, self._noise))
+
+    def _output(self, stamp_ns: int, predicted: Array, found: FrameDetections) -> NDArray[np.void]:
         """Rows to publish; `predicted` (5, 4, K) holds the states of the first K tracks."""
         tracks = self._tracks
-        trusted_s = np.minimum(FORESIGHT * tracks.observed_s(), self._p.predict_s)
-        recent = tracks.elapsed_s(stamp_ns) <= trusted_s
-        shown = np.flatnonzero((tracks.track_id > 0) & ((tracks.missed == 0) | recent))
-        shown = shown[np.argsort(tracks.track_id[shown])]
-        box, flags = tracks.box[:, shown], np.where(tracks.cut[shown], FLAG_TRUNCATED, 0)
-        unseen = np.flatnonzero(tracks.missed[shown])
-        if len(unseen):
-            mean = predicted[MEAN][:, shown[unseen]]
-            box[:2, unseen], box[2:, unseen] = mean[:2], np.exp(mean[2:])
-            flags[unseen] = FLAG_PREDICTED
+        seen = np.flatnonzero((tracks.track_id > 0) & (tracks.missed == 0))
+        unseen, foreseen = self._foreseen(stamp_ns, predicted, found)
+        shown = np.concatenate([seen, unseen])
+        flags = np.where(tracks.cut[shown], FLAG_TRUNCATED, 0)
+        flags[len(seen) :] = FLAG_PREDICTED
         rows = np.empty(len(shown), PIXEL_TRACK_DTYPE)
+        box = np.concatenate([tracks.box[:, seen], foreseen], axis=1)
         rows["x"], rows["y"], rows["width"], rows["height"] = box
         rows["score"], rows["class_id"] = tracks.score[shown], tracks.class_id[shown]
         rows["track_id"], rows["flags"] = tracks.track_id[shown], flags
-        return rows
+        return rows[np.argsort(tracks.track_id[shown])]
+
+    def _foreseen(
+        self, stamp_ns: int, predicted: Array, found: FrameDetections
+    ) -> tuple[NDArray[np.intp], Array]:
+        """Unobserved tracks (U,) that may be shown, and the boxes (4, U) to show."""
+        tracks = self._tracks
+        trusted_s = np.minimum(FORESIGHT * tracks.observed_s(), self._p.predict_s)
+        recent = (tracks.missed > 0) & (tracks.elapsed_s(stamp_ns) <= trusted_s)
+        unseen = np.flatnonzero((tracks.track_id > 0) & recent)
+        box = predicted[MEAN][:, unseen]
+        box[2:] = np.exp(box[2:])
+        behind = hidden(box, found.box)
+        tracks.foreseen[behind.astype(np.intp), unseen] += 1.0
+        trusted = self._foresight.trusted(behind)
+        return unseen[trusted], box[:, trusted]
 
 
 def _settle(partner: NDArray[np.intp], pairs: Pairs, limit: float) -> None:

@@ -16,6 +16,7 @@ from geoorbit_ros.tracking.motion import (
     VARIANCE,
     MotionNoise,
     correct,
+    correct_in_doubt,
     measurement_variance,
     measurements,
     predict,
@@ -27,7 +28,8 @@ NOISE = MotionNoise()
 
 def begun(box: np.ndarray) -> np.ndarray:
     """States of tracks seen for the first time."""
-    return start(box, measurement_variance(box, NOISE), NOISE)
+    variance = measurement_variance(box, NOISE)
+    return start(box, variance, np.zeros(box.shape), NOISE.rate_variance(box))
 
 
 def exact_state(vehicle: Vehicle, time_s: float) -> np.ndarray:
@@ -94,3 +96,21 @@ def test_the_second_sight_of_a_vehicle_gives_its_speed_also_after_a_gap() -> Non
         state = correct(state, measurements(second), measurement_variance(second, NOISE))
         mean_rate = (second - first)[1, 0] / gap_s
         assert state[RATE, 1, 0] == pytest.approx(mean_rate, rel=0.25)
+
+
+def test_a_box_out_of_line_moves_a_track_less_and_one_in_line_as_usual() -> None:
+    vehicle = Vehicle(3.0, 60.0, 12.0)
+    state = begun(np.array(vehicle.box(0.0)).reshape(4, 1))
+    for k in range(1, 12):
+        box = np.array(vehicle.box(0.04 * k)).reshape(4, 1)
+        ahead = predict(state, np.array([0.04]), NOISE)
+        variance = measurement_variance(box, NOISE)
+        state = correct_in_doubt(ahead, measurements(box), variance)
+        assert state == pytest.approx(correct(ahead, measurements(box), variance))
+    box = np.array(vehicle.box(0.48)).reshape(4, 1)
+    box[0] += 0.8 * box[2]
+    box[2] *= 2.6  # joined with its neighbour
+    ahead = predict(state, np.array([0.04]), NOISE)
+    given = measurements(box), measurement_variance(box, NOISE)
+    moved = [abs(each(ahead, *given)[RATE] - ahead[RATE]) for each in (correct_in_doubt, correct)]
+    assert (moved[0][[0, 2]] < 0.5 * moved[1][[0, 2]]).all()

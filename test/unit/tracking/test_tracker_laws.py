@@ -39,7 +39,9 @@ ROAD = [
     Vehicle(6.0, 20.0, 27.0),
     Vehicle(6.0, 70.0, 24.0),
 ]
+FAR_ROAD = [v for v in ROAD if v.ahead_m >= 30.0]
 Frame = tuple[int, Table]
+PLACE = (("x", "width"), ("y", "height"))
 
 
 def recording(
@@ -213,15 +215,100 @@ def test_unseen_vehicles_are_predicted_where_they_are_and_flagged() -> None:
         assert row["height"] == pytest.approx(truth[3], rel=0.1)
 
 
-def test_what_was_seen_for_a_moment_is_neither_predicted_nor_waited_for_long() -> None:
+def test_what_was_seen_for_a_moment_is_not_predicted_but_known_again() -> None:
     vehicle = Vehicle(3.0, 120.0, -18.0)
     frames = [
-        (s, detections([vehicle] if k < 3 or k > 30 else [], seconds(s)))
-        for k, s in enumerate(stamps(36))
+        (s, detections([vehicle] if k < 3 or k > 20 else [], seconds(s)))
+        for k, s in enumerate(stamps(26))
     ]
     output = track_all(frames)
-    assert [len(rows) for rows in output[4:31]] == [0] * 27
-    assert output[-1]["track_id"][0] != output[2]["track_id"][0]
+    assert [len(rows) for rows in output[4:21]] == [0] * 17
+    assert output[-1]["track_id"][0] == output[2]["track_id"][0]
+
+
+@pytest.mark.parametrize(("score", "first"), [(0.9, 0), (0.5, 1)])
+def test_a_sure_detection_is_a_track_at_once_a_doubtful_one_when_seen_again(
+    score: float, first: int
+) -> None:
+    vehicle = Vehicle(3.0, 60.0, -10.0, score=score)
+    frames = [(s, detections([vehicle], seconds(s))) for s in stamps(4)]
+    shown = [len(rows) for rows in track_all(frames)]
+    assert shown == [0] * first + [1] * (4 - first)
+    assert [len(rows) for rows in track_all(frames, confirm_score=1.0)] == [0, 1, 1, 1]
+
+
+def test_vehicles_that_a_detector_joins_for_a_moment_keep_their_ids() -> None:
+    left, right = Vehicle(2.0, 30.0, 14.0), Vehicle(4.6, 30.5, 14.0)
+    frames = []
+    for s in stamps(60):
+        rows = detections([left, right], seconds(s))
+        if 1.0 < seconds(s) < 1.4:
+            edges = [rows[n] + k * rows[m] / 2 for n, m in PLACE for k in (-1, 1)]
+            low, high = [min(e) for e in edges[::2]], [max(e) for e in edges[1::2]]
+            rows = rows[:1]
+            rows["x"], rows["y"] = (low[0] + high[0]) / 2, (low[1] + high[1]) / 2
+            rows["width"], rows["height"] = high[0] - low[0], high[1] - low[1]
+        frames.append((s, rows))
+    output = track_all(frames)
+    assert {i for frame in ids(output) for i in frame} == {1, 2}
+    for vehicle in (left, right):
+        one, two = (id_at(output[k], vehicle.box(seconds(frames[k][0]))) for k in (20, -1))
+        assert one == two
+
+
+@pytest.mark.parametrize(("fps", "spacing_m"), [(3.0, 15.0), (4.0, 11.0), (5.0, 9.0)])
+def test_a_dense_platoon_is_told_apart_where_traffic_was_seen_before(
+    fps: float, spacing_m: float
+) -> None:
+    """From frame to frame each vehicle comes close to where the one ahead was, or beyond."""
+    first = [Vehicle(3.0, 20.0 - 61.0 * k, 28.0) for k in range(16)]
+    platoon = [Vehicle(3.0, -1050.0 - spacing_m * k, 28.0) for k in range(6)]
+    owner: dict[int, set[int]] = {k: set() for k in range(len(platoon))}
+    tracker = Tracker()
+    for s in stamps(round(45.0 * fps), fps):
+        here = [v for v in first + platoon if 30.0 < v.ahead_m + v.speed_mps * seconds(s) < 150.0]
+        rows = observed(tracker.update(s, detections(here, seconds(s))))
+        for vehicle in set(here) & set(platoon):
+            owner[platoon.index(vehicle)].add(id_at(rows, vehicle.box(seconds(s))))
+    assert [len(ids_of) for ids_of in owner.values()] == [1] * len(platoon)
+    assert len(set.union(*owner.values())) == len(platoon)
+
+
+@pytest.mark.parametrize(("returning", "shown"), [(True, True), (False, False)])
+def test_predictions_are_shown_while_vehicles_come_back_where_they_are_expected(
+    returning: bool, shown: bool
+) -> None:
+    """One detector misses vehicles now and then, another loses each for good."""
+    predicted = []
+    tracker = Tracker(TrackerParameters())
+    for s in stamps(1500):
+        turn, now = divmod(seconds(s), 2.0)
+        place_m = 3.0 if returning else 3.0 + 30.0 * (turn % 2)
+        gap = 1.0 < now < 1.2 if returning else now > 1.0
+        rows = tracker.update(s, detections([] if gap else [Vehicle(place_m, 40.0, 0.0)], now))
+        if seconds(s) > 50.0:
+            predicted.append(int(np.count_nonzero(rows["flags"] & FLAG_PREDICTED)))
+    assert (sum(predicted) > 0) == shown
+
+
+@pytest.mark.parametrize("fps", [5.0, 8.0, 25.0])
+def test_a_low_rate_with_uneven_stamps_and_lost_frames_keeps_the_ids(fps: float) -> None:
+    random = np.random.default_rng(11)
+    frames = []
+    for s in stamps(round(4.5 * fps), fps):
+        late = s + round(SECOND * random.uniform(-0.3, 0.3) / fps)
+        rows = detections(FAR_ROAD, seconds(late))
+        for field, side in (("x", "width"), ("y", "height"), ("width",) * 2, ("height",) * 2):
+            rows[field] += 0.03 * rows[side] * random.standard_normal(len(rows))
+        if random.uniform() > 0.2:
+            frames.append((late, rows))
+    owners: dict[int, set[int]] = {}
+    for (s, _), rows in zip(frames, track_all(frames), strict=True):
+        truth = detections(FAR_ROAD, seconds(s))
+        for row in observed(rows):
+            distance = np.hypot(truth["x"] - row["x"], truth["y"] - row["y"]) / truth["height"]
+            owners.setdefault(int(np.argmin(distance)), set()).add(int(row["track_id"]))
+    assert [len(owners[k]) for k in range(len(FAR_ROAD))] == [1] * len(FAR_ROAD)
 
 
 def test_a_box_that_enters_the_image_piece_by_piece_keeps_its_id() -> None:
