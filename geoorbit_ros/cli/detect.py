@@ -8,6 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from geoorbit_ros.cli.inputs import (
+    ClassNamesOption,
+    MinScoreOption,
+    ModelOption,
+    parse_names,
+)
 from geoorbit_ros.core.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -32,16 +38,9 @@ def detect(
             "--out", help="Where the boxes go: MOTChallenge text, frame,-1,x,y,w,h,conf,class,-1,-1"
         ),
     ],
-    model: Annotated[
-        Path | None,
-        typer.Option("--model", help="YOLO model in an ONNX file. Without it: whatever moves."),
-    ] = None,
-    class_names: Annotated[
-        str, typer.Option(help="Names of the model's classes, where its file has none: a,b,c.")
-    ] = "",
-    min_score: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Boxes that score less are dropped.")
-    ] = 0.25,
+    model: ModelOption = None,
+    class_names: ClassNamesOption = "",
+    min_score: MinScoreOption = 0.25,
     duration: Annotated[
         float | None,
         typer.Option("--duration", min=0.1, metavar="SECONDS", help="Stop after this time."),
@@ -70,7 +69,7 @@ def detect(
 
     if picture and picture.suffix.lower() not in (".png", ".jpg", ".jpeg"):
         raise ParameterError("option --picture", str(picture), "a name that ends in .png or .jpg")
-    names = tuple(name.strip() for name in class_names.split(",") if name.strip())
+    names = parse_names(class_names)
     with status("loading"):
         detector = make_detector(model, min_score=min_score, class_names=names)
     run = _Run(detector, picture)

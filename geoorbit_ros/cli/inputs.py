@@ -64,6 +64,20 @@ DatumOption = Annotated[
         help="Origin of the local map; default: the middle of the control points.",
     ),
 ]
+ModelOption = Annotated[
+    Path | None,
+    typer.Option("--model", help="YOLO model in an ONNX file. Without it: whatever moves."),
+]
+ClassNamesOption = Annotated[
+    str,
+    typer.Option(
+        "--class-names", help="Names of the model's classes, where its file has none: a,b,c."
+    ),
+]
+MinScoreOption = Annotated[
+    float,
+    typer.Option("--min-score", min=0.0, max=1.0, help="Boxes that score less are dropped."),
+]
 UpdatePeriodOption = Annotated[
     float,
     typer.Option(
@@ -174,6 +188,11 @@ def make_mapper(estimator: EstimatorName, update_period_s: float) -> LaneMapper:
     from geoorbit_ros.lanes.parameters import LaneParameters
 
     return LaneMapper(make_estimator(estimator.value), LaneParameters(), update_period_s)
+
+
+def parse_names(text: str) -> tuple[str, ...]:
+    """Names between commas; blanks around them don't count."""
+    return tuple(name.strip() for name in text.split(",") if name.strip())
 
 
 def parse_image_size(text: str) -> tuple[int, int]:

@@ -11,11 +11,15 @@ import typer
 from geoorbit_ros.cli.inputs import (
     CalibrationOption,
     CameraInput,
+    ClassNamesOption,
     DatumOption,
     EstimatorName,
     EstimatorOption,
+    MinScoreOption,
+    ModelOption,
     UpdatePeriodOption,
     load_calibration,
+    parse_names,
 )
 from geoorbit_ros.core.errors import ParameterError
 
@@ -36,10 +40,9 @@ def process(
     ],
     calibration: CalibrationOption,
     out: Annotated[Path, typer.Option("--out", help="Folder for the files; must not exist.")],
-    model: Annotated[
-        Path | None,
-        typer.Option("--model", help="YOLO model in an ONNX file. Without it: whatever moves."),
-    ] = None,
+    model: ModelOption = None,
+    class_names: ClassNamesOption = "",
+    min_score: MinScoreOption = 0.25,
     video: Annotated[
         bool, typer.Option("--video", help="Also write annotated.mp4: boxes, trails, lanes.")
     ] = False,
@@ -83,7 +86,7 @@ def process(
     check_new_folder(out)
     homography, origin = load_calibration(calibration, datum)
     with status("loading"):
-        detector = make_detector(model)
+        detector = make_detector(model, min_score=min_score, class_names=parse_names(class_names))
     mapper = WatchedMapper(make_estimator(estimator.value), update_period_s=update_period_s)
     run, recording = CameraRun(homography, detector, mapper), Recording()
     name = camera_id or _name(source)

@@ -92,7 +92,7 @@ def load_session(path: Path, providers: Sequence[str] = (), threads: int = 0) ->
         raise
     except Exception as error:  # onnxruntime's classes share no other base
         found = f"{path.stat().st_size} bytes that onnxruntime can't load ({_first(error)})"
-        raise ModelError(place, found, "a whole ONNX model") from None
+        raise ModelError(place, found, "a whole ONNX model (yolo export format=onnx)") from None
     metadata = parse_metadata(session.get_modelmeta().custom_metadata_map, place)
     inputs = session.get_inputs()
     shape = list(inputs[0].shape) if inputs else []

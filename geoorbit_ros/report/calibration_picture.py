@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.plane import Homography
+from geoorbit_ros.report.picture_text import write_text
 
 Image = NDArray[np.uint8]
 
@@ -20,7 +21,6 @@ ERROR_SCALE = 10.0
 """Reprojection errors are a pixel or two: drawn this many times as long."""
 REACH_M = 1.0
 _GOOD, _BAD, _LINE = (80, 220, 80), (60, 60, 255), (255, 220, 120)
-_FONT = cv2.FONT_HERSHEY_SIMPLEX
 _STEP_PX = 8
 
 
@@ -125,6 +125,4 @@ def _draw_levels(drawn: Image, error: NDArray[np.float64], scale: float) -> None
 def _label(
     image: Image, text: str, at: tuple[int, int], scale: float, colour: tuple[int, int, int]
 ) -> None:
-    size, thick = 0.45 * scale, max(round(scale), 1)
-    cv2.putText(image, text, at, _FONT, size, (0, 0, 0), thick + 2, cv2.LINE_AA)
-    cv2.putText(image, text, at, _FONT, size, colour, thick, cv2.LINE_AA)
+    write_text(image, text, at, 0.45 * scale, colour, max(round(scale), 1))

@@ -14,6 +14,7 @@ from geoorbit_ros.calibration.homography import Homography
 from geoorbit_ros.core.lanes import Lane, LaneMap
 from geoorbit_ros.core.tables import FLAG_PREDICTED
 from geoorbit_ros.report.lane_drawing import direction_groups
+from geoorbit_ros.report.picture_text import write_text
 from geoorbit_ros.report.words import compass
 
 Image = NDArray[np.uint8]
@@ -24,6 +25,8 @@ TRAIL_MAX_AGE_FRAMES = 10
 """Trails of vehicles that have not been seen for this long are dropped."""
 MIN_LABEL_PX = 20.0
 """Lower boxes, at 720 lines, have no label: far away it would be longer than the vehicle."""
+LEAST_TEXT_SCALE = 0.85
+"""Text is drawn as for 720 lines, and smaller only down to this: below, nobody can read it."""
 LANE_OPACITY = 0.35
 _DIRECTIONS: tuple[Colour, ...] = (
     (230, 170, 60),
@@ -34,7 +37,7 @@ _DIRECTIONS: tuple[Colour, ...] = (
     (150, 150, 250),
 )
 """Blue, green, red of the lanes, by direction of travel."""
-_WHITE, _GREY, _BLACK = (255, 255, 255), (170, 170, 170), (0, 0, 0)
+_WHITE, _GREY = (255, 255, 255), (170, 170, 170)
 _NAMES = {2: "car", 3: "motorcycle", 5: "bus", 7: "truck"}
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _SHIFT = 4
@@ -93,7 +96,8 @@ class ImageOverlay:
             )
         for row in tracks:
             _draw_box(drawn, row, speed.get(int(row["track_id"])), scale)
-        _label(drawn, caption, (round(12 * scale), round(28 * scale)), 0.7 * scale, _WHITE)
+        text = _text_scale(scale)
+        write_text(drawn, caption, (round(12 * text), round(28 * text)), 0.7 * text, _WHITE)
         return drawn
 
     def _remember(self, tracks: NDArray[np.void]) -> None:
@@ -142,7 +146,8 @@ class ImageOverlay:
                 layer, start, tip, _WHITE, max(round(2 * scale), 1), cv2.LINE_AA, 0, 0.4
             )
             text = f"{lane.lane_id} {compass(lane.heading_deg)} {lane.width_m:.1f} m"
-            cv2.putText(layer, text, tip, _FONT, 0.5 * scale, _WHITE, max(round(scale), 1), 16)
+            size = 0.5 * _text_scale(scale)
+            cv2.putText(layer, text, tip, _FONT, size, _WHITE, max(round(scale), 1), cv2.LINE_AA)
 
     def _pixels(self, ground_m: NDArray[np.float64], image: Image) -> NDArray[np.float64]:
         """(M, 2) pixels of those ground points (N, 2) that lie in or near the image."""
@@ -168,19 +173,18 @@ def _draw_box(image: Image, row: np.void, speed_m_s: float | None, scale: float)
     corners = (int(low[0]), int(low[1])), (int(high[0]), int(high[1]))
     thickness = 1 if predicted else max(round(2 * scale), 1)
     cv2.rectangle(image, *corners, color=colour, thickness=thickness)
-    if predicted or row["height"] < MIN_LABEL_PX * scale:
+    letters = _text_scale(scale)
+    if predicted or row["height"] < MIN_LABEL_PX * letters:
         return
     text = f"{row['track_id']} {_NAMES.get(int(row['class_id']), '')}".strip()
     if speed_m_s is not None and np.isfinite(speed_m_s):
         text += f" {3.6 * speed_m_s:.0f} km/h"
-    _label(image, text, (corners[0][0], corners[0][1] - round(4 * scale)), 0.42 * scale, colour)
+    above = (corners[0][0], corners[0][1] - round(4 * scale))
+    write_text(image, text, above, 0.42 * letters, colour)
 
 
-def _label(image: Image, text: str, at: tuple[int, int], size: float, colour: Colour) -> None:
-    """Text that can be read on any ground: OpenCV's font has ASCII only."""
-    for thickness, shade in ((3, _BLACK), (1, colour)):
-        width = max(round(2 * size * thickness), 1)
-        cv2.putText(image, text, at, _FONT, size, shade, width, cv2.LINE_AA)
+def _text_scale(scale: float) -> float:
+    return max(scale, LEAST_TEXT_SCALE)
 
 
 def _fixed(points: NDArray[np.float64]) -> NDArray[np.int32]:

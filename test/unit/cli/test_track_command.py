@@ -53,7 +53,7 @@ def test_the_file_holds_the_observed_boxes_of_the_tracker(
     out = tmp_path / "tracks.txt"
     code, text, err = run("--detections", boxes, "--fps", FPS, "--out", out)
     assert (code, err) == (0, "")
-    assert "90 detections in 50 frames became 2 tracks with 88 boxes" in text
+    assert "90 detections in 50 frames became 2 tracks with 90 boxes" in text
     table = read_mot_detections(boxes)
     tracker, expected = Tracker(), []
     for stamp_ns, (number, rows) in zip(table.frames(FPS).stamp_ns.tolist(), table, strict=True):

@@ -1,0 +1,32 @@
+"""Text in pictures that can be read on any ground. OpenCV's font has ASCII only."""
+
+from __future__ import annotations
+
+import itertools
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+_BLACK = (0, 0, 0)
+
+
+def write_text(
+    image: NDArray[np.uint8],
+    text: str,
+    at: tuple[int, int],
+    size: float,
+    colour: tuple[int, int, int],
+    thickness: int = 1,
+) -> None:
+    """Draw `text` with a black rim, its lower left corner `at`, into `image`.
+
+    The rim is the same text beside itself: since OpenCV 5 thicker letters are also wider, so that a
+    thick black text would not lie behind a thin coloured one.
+    """
+    step = max(round(size), 1)
+    for dx, dy in itertools.product((-step, 0, step), repeat=2):
+        place = (at[0] + dx, at[1] + dy)
+        cv2.putText(image, text, place, _FONT, size, _BLACK, thickness, cv2.LINE_AA)
+    cv2.putText(image, text, at, _FONT, size, colour, thickness, cv2.LINE_AA)
