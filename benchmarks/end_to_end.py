@@ -68,11 +68,17 @@ class Outcome:
     images_per_s: float
 
 
-def run_scene(name: str, seed: int, cache: Path) -> Outcome:
-    """Film a scene, unless that has been done, and find its lanes."""
+def filmed(name: str, seed: int, cache: Path) -> Path:
+    """Folder with the film of a scene and its truth; made unless that has been done."""
     folder = cache / f"{name}-{seed}"
     if not folder.exists():
         write_rendered_scene(render_scene(load_scene(name), DURATION_S, seed), folder)
+    return folder
+
+
+def run_scene(name: str, seed: int, cache: Path) -> Outcome:
+    """Find the lanes of a film."""
+    folder = filmed(name, seed, cache)
     points = read_control_points(folder / "calibration.csv")
     if points.datum is None:
         raise RuntimeError(f"{folder}: control points without degrees")

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from geoorbit_ros.detection.detector import Image, as_bgr, detection_rows
 from geoorbit_ros.detection.motion_background import RoadBackground
 from geoorbit_ros.detection.motion_blobs import Blob, find_blobs
+from geoorbit_ros.detection.motion_pixels import busy_rows
 from geoorbit_ros.detection.motion_shadow import ShadowModel
+from geoorbit_ros.detection.motion_silhouettes import Silhouettes
 from geoorbit_ros.detection.motion_sizes import VehicleSizes
 from geoorbit_ros.detection.motion_watch import CameraWatch
 from geoorbit_ros.detection.vehicle_classes import CAR, MOTORCYCLE, TRUCK
@@ -21,8 +23,8 @@ WORK_WIDTH_PX = 1280
 BEST_SCORE = 0.9
 LEARN_FRAMES = 20
 """Sizes are learnt anew once in so many frames."""
-SURROUNDINGS_PX = 5
-"""The road is not learnt this close to a vehicle, in pixels, both sides together."""
+SHADOW_PERIOD_S = 0.12
+"""Shadows are learnt from one picture in so much time."""
 EDGE_PX = 0.5
 """Edges are blurred, and a vehicle begins where it differs a little: half a pixel too early."""
 BENEATH_SHARE = 0.035
@@ -76,19 +78,25 @@ class MotionDetector:
 
     def _forget(self) -> None:
         self._road, self._shadows, self._sizes = RoadBackground(), ShadowModel(), VehicleSizes()
-        self._watch = CameraWatch()
+        self._watch, self._shapes = CameraWatch(), Silhouettes()
         self._frames = self._changed = 0
+        self._learnt_ns: int | None = None
 
     def _blobs(self, stamp_ns: int, picture: Image) -> list[Blob]:
-        difference, road = self._road.difference(picture)
-        moving = np.asarray(cv2.compare(difference, self._road.contrast, cv2.CMP_GT), np.uint8)
+        moving = self._road.moving(picture)
+        road = self._road.picture
         if self._is_other_road(stamp_ns, picture, road, moving):
             return []
-        near = cv2.dilate(moving, np.ones((SURROUNDINGS_PX, SURROUNDINGS_PX), np.uint8))
-        free = np.asarray(cv2.bitwise_not(near), dtype=np.uint8)
-        self._road.follow(stamp_ns, picture, difference, free)
-        vehicle = cv2.medianBlur(self._shadows.remove(picture, road, moving), 3)
-        blobs = find_blobs(moving, np.asarray(vehicle, dtype=np.uint8), self._sizes)
+        self._road.follow(stamp_ns, picture, moving)
+        last = self._learnt_ns
+        if last is None or not 0 <= stamp_ns - last < SHADOW_PERIOD_S * 1e9:
+            self._learnt_ns = stamp_ns
+            self._shadows.learn(picture, road, moving)
+        rows = busy_rows(moving)
+        vehicle = np.zeros_like(moving)
+        solid = self._shadows.remove(picture[rows], road[rows], moving[rows])
+        cv2.medianBlur(solid, 3, dst=vehicle[rows])
+        blobs = find_blobs(moving, vehicle, self._sizes, self._shapes)
         whole = [blob.box for blob in blobs if blob.whole]
         self._sizes.add(np.array(whole, dtype=np.float64).reshape(-1, 4))
         if self._frames % LEARN_FRAMES == 0:

@@ -8,7 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.detection.motion_cut import CONVEX, best_cut, unlikeness
+from geoorbit_ros.detection.motion_explain import explain, one_misfit, refined
+from geoorbit_ros.detection.motion_likeness import unlikeness
+from geoorbit_ros.detection.motion_pixels import busy_rows
+from geoorbit_ros.detection.motion_silhouettes import Silhouettes
 from geoorbit_ros.detection.motion_sizes import Box, VehicleSizes
 
 Mask = NDArray[np.uint8]
@@ -18,7 +21,7 @@ MIN_VEHICLE_SHARE = 0.10
 """Of a moving patch, less than this that is no shadow: the shadow of something out of view."""
 FIRST_RADIUS_PX, RADIUS_SHARE, MAX_RADIUS_PX = 2.5, 0.10, 16.0
 """Gaps in a vehicle that are closed: pixels at first, then a share of a car's height."""
-ONE_WIDTH, ONE_HEIGHT = 1.4, 1.5
+ONE_WIDTH, ONE_HEIGHT = 1.25, 1.4
 """A patch up to so many cars wide and high is one vehicle."""
 MIN_PART = 0.3
 """Parts smaller than this, by height or by area, of a car are no vehicle."""
@@ -26,7 +29,12 @@ SOUND_FILL = 0.8
 """A patch by itself that fills this much of its convex hull is a vehicle, of whatever size; cars'
 sizes are learnt from such."""
 SOUND_LIKENESS = 0.6
-MAX_CUTS = 4
+MIN_CAR_PX = 5.0
+"""Where cars are less high, several are not told apart."""
+ONE_GAIN = 0.05
+"""Several vehicles must be more like a patch than one by this share of its pixels for each more."""
+LEAST_LIKENESS = 0.4
+"""Of a vehicle that explains a part of a patch."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,16 +63,18 @@ class _Patch:
     top: int
 
 
-def find_blobs(moving: Mask, vehicle: Mask, sizes: VehicleSizes) -> list[Blob]:
+def find_blobs(moving: Mask, vehicle: Mask, sizes: VehicleSizes, shapes: Silhouettes) -> list[Blob]:
     """Vehicles among the pixels that move.
 
     Args:
         moving: (H, W) 255 where the picture differs from the empty road.
         vehicle: (H, W) the same without shadows.
         sizes: How large a car is at each place.
+        shapes: What outline vehicles have at each place; learns from single ones.
     """
-    joined = np.asarray(cv2.morphologyEx(moving, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)))
-    count, label, stats, _ = cv2.connectedComponentsWithStats(joined, connectivity=8)
+    rows = busy_rows(moving)
+    joined = np.asarray(cv2.morphologyEx(moving[rows], cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)))
+    count, label, stats, _ = cv2.connectedComponentsWithStats(joined, ltype=cv2.CV_16U)
     found: list[Blob] = []
     for k in range(1, count):
         left, top, width, height, area = stats[k].tolist()
@@ -72,10 +82,10 @@ def find_blobs(moving: Mask, vehicle: Mask, sizes: VehicleSizes) -> list[Blob]:
             continue
         window = (slice(top, top + height), slice(left, left + width))
         whole = (label[window] == k).astype(np.uint8)
-        solid = stand_up(whole, whole & (vehicle[window] > 0))
+        solid = stand_up(whole, whole & (vehicle[rows][window] > 0))
         if np.count_nonzero(solid) < max(MIN_VEHICLE_SHARE * area, 8):
             continue
-        found += _vehicles(_Patch(solid, left, top), moving.shape, sizes)
+        found += _vehicles(_Patch(solid, left, rows.start + top), moving.shape, sizes, shapes)
     return found
 
 
@@ -90,27 +100,40 @@ def stand_up(whole: Mask, seen: Mask) -> Mask:
     return np.asarray(((below > run_start)[::-1] & (whole > 0)).astype(np.uint8))
 
 
-def _vehicles(patch: _Patch, image: tuple[int, ...], sizes: VehicleSizes) -> list[Blob]:
+def _vehicles(
+    patch: _Patch, image: tuple[int, ...], sizes: VehicleSizes, shapes: Silhouettes
+) -> list[Blob]:
     """The vehicles in one patch of moving pixels."""
     box = _extent(patch)
     if box is None:
         return []
     if not sizes.known or _is_one(box, sizes):
-        blob = _blob(patch, box, image, sizes, alone=True)
+        blob = _blob(patch, box, image, sizes)
+        if blob.whole:
+            shapes.add(patch.pixels, box, (patch.left, patch.top))
         sound = blob.fill > SOUND_FILL
         return [blob] if sound or _large_enough(blob, sizes, image) else []
-    whole = _blob(patch, box, image, sizes, alone=True)
-    if whole.fill > CONVEX:
-        return [whole]
-    parts = []
-    for part in _pieces(_closed(patch, sizes), 4):
-        parts += _cut(part, sizes, MAX_CUTS)
-    blobs = []
-    for part in parts:
-        extent = _extent(part)
-        if extent is not None:
-            blobs.append(_blob(part, extent, image, sizes, alone=False))
+    if sizes.car(box)[1] < MIN_CAR_PX:
+        return [_blob(patch, box, image, sizes)]
+    blobs = _explained(_closed(patch, sizes), box, image, sizes, shapes)
     return [blob for blob in blobs if _large_enough(blob, sizes, image)]
+
+
+def _explained(
+    patch: _Patch, extent: Box, image: tuple[int, ...], sizes: VehicleSizes, shapes: Silhouettes
+) -> list[Blob]:
+    """One vehicle of unusual size, or some of usual ones: whichever looks more like the patch."""
+    corner = patch.left, patch.top
+    found = explain(patch.pixels, corner, sizes, shapes)
+    one = one_misfit(patch.pixels, corner, extent, shapes)
+    count = len(found.boxes)
+    if not count or one < found.misfit + ONE_GAIN * (count - 1):
+        return [_blob(patch, extent, image, sizes)]
+    blobs = []
+    for box in refined(patch.pixels, corner, found.boxes):
+        likeness = max(float(np.exp(-unlikeness(box, 1.0, sizes))), LEAST_LIKENESS)
+        blobs.append(Blob(box, False, 1.0, likeness))
+    return blobs
 
 
 def _extent(patch: _Patch) -> Box | None:
@@ -146,12 +169,10 @@ def _touches_border(box: Box, image: tuple[int, ...]) -> bool:
     return box[0] <= 1 or box[1] <= 1 or box[2] >= image[1] - 1 or box[3] >= image[0] - 1
 
 
-def _blob(
-    patch: _Patch, box: Box, image: tuple[int, ...], sizes: VehicleSizes, *, alone: bool
-) -> Blob:
-    _, _, fill = _outline(patch)
+def _blob(patch: _Patch, box: Box, image: tuple[int, ...], sizes: VehicleSizes) -> Blob:
+    fill = _fill(patch)
     cut_off = _touches_border(box, image)
-    sound = alone and fill > SOUND_FILL
+    sound = fill > SOUND_FILL
     likeness = SOUND_LIKENESS
     if sizes.known and not cut_off:
         likeness = float(np.exp(-unlikeness(box, fill, sizes)))
@@ -160,13 +181,12 @@ def _blob(
     return Blob(box, sound and not cut_off, fill, likeness)
 
 
-def _outline(patch: _Patch) -> tuple[NDArray[np.int32], NDArray[np.int32], float]:
-    """Outline (K, 2) of the largest piece, indices of its hull, share of the hull that it fills."""
+def _fill(patch: _Patch) -> float:
+    """Share of the convex hull of all pieces that the largest one fills."""
     outlines, _ = cv2.findContours(patch.pixels, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    outline = max(outlines, key=cv2.contourArea).reshape(-1, 2).astype(np.int32)
-    hull = cv2.convexHull(outline, returnPoints=False).reshape(-1).astype(np.int32)
-    area = cv2.contourArea(outline[np.sort(hull)])
-    return outline, hull, cv2.contourArea(outline) / max(area, 1.0)
+    largest = max(outlines, key=cv2.contourArea)
+    hull = cv2.contourArea(cv2.convexHull(np.concatenate(outlines)))
+    return cv2.contourArea(largest) / max(hull, 1.0)
 
 
 def _closed(patch: _Patch, sizes: VehicleSizes) -> _Patch:
@@ -178,38 +198,3 @@ def _closed(patch: _Patch, sizes: VehicleSizes) -> _Patch:
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
     closed = cv2.morphologyEx(patch.pixels, cv2.MORPH_CLOSE, kernel)
     return _Patch(np.asarray(closed, dtype=np.uint8), patch.left, patch.top)
-
-
-def _pieces(patch: _Patch, connectivity: int) -> list[_Patch]:
-    """Each connected piece of a patch, the largest first."""
-    count, label, stats, _ = cv2.connectedComponentsWithStats(
-        patch.pixels, connectivity=connectivity
-    )
-    order = sorted(range(1, count), key=lambda k: -int(stats[k, cv2.CC_STAT_AREA]))
-    pieces = []
-    for k in order:
-        left, top, width, height = stats[k, :4].tolist()
-        own = (label[top : top + height, left : left + width] == k).astype(np.uint8)
-        pieces.append(_Patch(own, patch.left + left, patch.top + top))
-    return pieces
-
-
-def _cut(patch: _Patch, sizes: VehicleSizes, cuts: int) -> list[_Patch]:
-    """The patch, or its parts where it is several vehicles: cut where it is narrow."""
-    box = _extent(patch)
-    if box is None:
-        return []
-    outline, hull, fill = _outline(patch)
-    if cuts == 0 or fill > CONVEX or _is_one(box, sizes):
-        return [patch]
-    width, height = sizes.car(box)
-    ends = best_cut(outline, hull, (patch.left, patch.top), sizes)
-    if ends is None:
-        return [patch]
-    pixels = patch.pixels.copy()
-    cv2.line(pixels, ends[0], ends[1], 0, 1, cv2.LINE_4)
-    parts = _pieces(_Patch(pixels, patch.left, patch.top), 4)
-    parts = [p for p in parts if np.count_nonzero(p.pixels) > 0.15 * width * height]
-    if len(parts) < 2:
-        return [patch]
-    return [end for part in parts for end in _cut(part, sizes, cuts - 1)]

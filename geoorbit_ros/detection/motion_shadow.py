@@ -49,50 +49,46 @@ class ShadowModel:
         self._pattern = np.zeros((BINS, 2))
         self.ratio: NDArray[np.float64] | None = None
 
-    def remove(self, picture: Image, road: Image, mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """The mask (H, W), 255 where picture and road differ, without shadows; learns from them.
-
-        Between road and core of a shadow its soft edge takes all mixtures of both.
-        """
-        where = np.flatnonzero(mask)
-        base = road.reshape(-1, 3)[where].astype(np.float32)
-        seen = picture.reshape(-1, 3)[where].astype(np.float32)
-        ratio = np.divide(seen, np.maximum(base, 1.0), dtype=np.float32)
-        self._learn(picture, road, where[::_STEP], base[::_STEP], ratio[::_STEP])
-        if self.ratio is None:
-            return mask
-        missing = (1.0 - self.ratio).astype(np.float32)
-        depth = (1.0 - ratio) / missing
-        noise = NOISE_LEVELS / np.maximum(base.min(axis=1), 8.0) / missing.min()
-        even = depth.max(axis=1) - depth.min(axis=1) < MAX_SPREAD + noise
-        dark = depth.mean(axis=1)
-        shadow = even & (dark > 0.0) & (dark < 1.0 + MAX_EXCESS + noise)
-        left = mask.copy()
-        left.reshape(-1)[where[shadow]] = 0
-        return left
-
-    def _learn(
-        self,
-        picture: Image,
-        road: Image,
-        where: NDArray[np.intp],
-        base: NDArray[np.float32],
-        ratio: NDArray[np.float32],
-    ) -> None:
-        middle = ratio[:, 1]
-        sound = (np.abs(ratio - middle[:, None]) < HUE).all(axis=1)
-        sound &= (middle > LOWEST) & (middle < HIGHEST) & (base.min(axis=1) > 30.0)
-        where, ratio = where[sound], ratio[sound]
-        bins = ((ratio[:, 1] - LOWEST) * (BINS / (HIGHEST - LOWEST))).astype(np.intp)
+    def learn(self, picture: Image, road: Image, mask: NDArray[np.uint8]) -> None:
+        """Learn from the pixels where picture and road (H, W, 3) differ, 255 in the mask (H, W)."""
+        where = np.flatnonzero(mask)[::_STEP]
+        base, ratio = _ratios(picture, road, where)
+        middle = ratio[1]
+        sound = (np.abs(ratio - middle) < HUE).all(axis=0)
+        sound &= (middle > LOWEST) & (middle < HIGHEST) & (base.min(axis=0) > 30.0)
+        where, ratio = where[sound], ratio[:, sound]
+        bins = ((ratio[1] - LOWEST) * (BINS / (HIGHEST - LOWEST))).astype(np.intp)
         bins = np.clip(bins, 0, BINS - 1)
         seen, ground = _pattern(picture, where), _pattern(road, where)
         fade = MEMORY_PIXELS / (MEMORY_PIXELS + len(where))
         self._count = fade * self._count + np.bincount(bins, minlength=BINS)
-        columns = (*ratio.T, seen * ground, ground * ground)
+        columns = (*ratio, seen * ground, ground * ground)
         added = np.column_stack([np.bincount(bins, w, BINS) for w in columns])
         self._sum = fade * self._sum + added[:, :3]
         self._pattern = fade * self._pattern + added[:, 3:]
         self._find_pile()
+
+    def remove(self, picture: Image, road: Image, mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """The mask (H, W), 255 where picture and road differ, without shadows.
+
+        Between road and core of a shadow its soft edge takes all mixtures of both.
+        """
+        if self.ratio is None:
+            return mask
+        where = np.flatnonzero(mask)
+        base, ratio = _ratios(picture, road, where)
+        missing = (1.0 - self.ratio).astype(np.float32)[:, None]
+        depth = (1.0 - ratio) / missing
+        least = np.minimum(np.minimum(base[0], base[1]), base[2])
+        noise = NOISE_LEVELS / missing.min() / np.maximum(least, 8.0)
+        high = np.maximum(np.maximum(depth[0], depth[1]), depth[2])
+        low = np.minimum(np.minimum(depth[0], depth[1]), depth[2])
+        dark = (depth[0] + depth[1] + depth[2]) * np.float32(1.0 / 3.0)
+        shadow = (high - low < MAX_SPREAD + noise) & (dark > 0.0)
+        shadow &= dark < 1.0 + MAX_EXCESS + noise
+        left = mask.copy()
+        left.reshape(-1)[where[shadow]] = 0
+        return left
 
     def _find_pile(self) -> None:
         """The darkest dense stretch of ratios among those through which the ground shows."""
@@ -109,6 +105,15 @@ class ShadowModel:
         best = int(np.flatnonzero(likely >= HIGH_PILE * likely.max())[0])
         near = slice(max(best - _SPREAD, 0), best + _SPREAD + 1)
         self.ratio = self._sum[near].sum(axis=0) / self._count[near].sum()
+
+
+def _ratios(
+    picture: Image, road: Image, where: NDArray[np.intp]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """(3, N) the road's channels at the pixels `where`, and the picture's over them."""
+    base = np.take(road.reshape(-1, 3), where, axis=0).T.astype(np.float32, order="C")
+    seen = np.take(picture.reshape(-1, 3), where, axis=0).T.astype(np.float32, order="C")
+    return base, np.divide(seen, np.maximum(base, np.float32(1.0)), dtype=np.float32)
 
 
 def _pattern(image: Image, where: NDArray[np.intp]) -> NDArray[np.float32]:

@@ -7,8 +7,10 @@ tell a rolled camera from a near road). Its width over its height varies slowly 
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,11 +25,32 @@ BANDS, MIN_BAND = 12, 12
 _MIN_SHARE = 0.3
 """Share of the boxes that must be cars for a fit to count."""
 MIN_HEIGHT_PX = 3.0
+CELLS = (8, 10)
+"""Where roads bend, cars turn: how their size departs from the line is learnt in so many cells,
+by height of the line and by column,"""
+CELL_PRIOR = 6.0
+"""and holds once more cars than this were seen there."""
 _ROW = (0, 2)
 """Terms of `_place` that heights depend on."""
 
 Box = tuple[int, int, int, int]
 """Left, top, right, bottom in pixels."""
+
+
+CELL_BLUR, MAX_BEND = 0.6, 0.3
+
+
+def _blurred(table: NDArray[np.float64]) -> NDArray[np.float64]:
+    edge = cv2.BORDER_ISOLATED
+    return np.asarray(cv2.GaussianBlur(table, (0, 0), CELL_BLUR, borderType=edge), np.float64)
+
+
+def _cell(value: float, low: float, high: float, count: int) -> tuple[int, float]:
+    """The lower of the two cells around a value, and how far it is to the upper one."""
+    at = (value - low) / max(high - low, 1e-6) * (count - 1)
+    at = min(max(at, 0.0), count - 1.0)
+    lower = min(int(at), count - 2)
+    return lower, at - lower
 
 
 class VehicleSizes:
@@ -44,6 +67,8 @@ class VehicleSizes:
         self._shape = np.zeros(4)
         self._random = np.random.default_rng(1)
         self._scale = 1.0
+        self._span = (0.0, 1.0, 0.0, 1.0)
+        self._local = np.zeros((*CELLS, 2))
 
     def add(self, boxes: NDArray[np.float64]) -> None:
         """Note boxes (N, 4) left, top, right, bottom, each of one whole vehicle."""
@@ -51,15 +76,28 @@ class VehicleSizes:
 
     def at(self, x: NDArray[np.float64], bottom: NDArray[np.float64]) -> NDArray[np.float64]:
         """(N, 2) width and height of a car whose box ends at row `bottom`, its middle at `x`."""
-        place = self._place(x, bottom)
-        height = np.maximum(place[:, _ROW] @ self._height, MIN_HEIGHT_PX)
-        shape = np.exp(np.clip(place @ self._shape, -1.0, 1.6))
-        return np.column_stack([shape * height, height])
+        pairs = [self._at(*place) for place in zip(x.tolist(), bottom.tolist(), strict=True)]
+        return np.array(pairs, dtype=np.float64).reshape(-1, 2)
 
     def car(self, box: Box) -> tuple[float, float]:
         """Width and height of a car that stands where the box ends."""
-        at = self.at(np.array([0.5 * (box[0] + box[2])]), np.array([float(box[3])]))[0]
-        return float(at[0]), float(at[1])
+        return self._at(0.5 * (box[0] + box[2]), float(box[3]))
+
+    def _at(self, x: float, bottom: float) -> tuple[float, float]:
+        u, v = x / self._scale, bottom / self._scale
+        a, b = self._height.tolist()
+        height = max(a + b * v, MIN_HEIGHT_PX)
+        p, q, r, s = self._shape.tolist()
+        shape = math.exp(min(max(p + q * u + r * v + s * u * v, -1.0), 1.6))
+        low, high, left, right = self._span
+        i, j = _cell(math.log(height), low, high, CELLS[0]), _cell(u, left, right, CELLS[1])
+        (k, di), (m, dj) = i, j
+        near = self._local[k : k + 2, m : m + 2]
+        off = (
+            (1 - di) * ((1 - dj) * near[0, 0] + dj * near[0, 1])
+            + di * ((1 - dj) * near[1, 0] + dj * near[1, 1])
+        ).tolist()
+        return shape * height * math.exp(off[0]), height * math.exp(off[1])
 
     def learn(self) -> None:
         """Fit anew to the boxes noted so far."""
@@ -84,7 +122,26 @@ class VehicleSizes:
             ridge = np.diag([0.0, 1.0, 1.0, 1.0]) * 0.01 * weight.sum()
             shape = np.linalg.solve(weighted.T @ place[car] + ridge, weighted.T @ ratio)
         self._shape = shape
+        self._bend(place[car], size[car])
         self.known = True
+
+    def _bend(self, place: NDArray[np.float64], size: NDArray[np.float64]) -> None:
+        """How sizes (N, 2) depart from the line, cell by cell; cells without cars as their like."""
+        line = place[:, _ROW] @ self._height
+        wide = np.exp(np.clip(place @ self._shape, -1.0, 1.6)) * line
+        off = np.log(size / np.column_stack([wide, line]))
+        level, column = np.log(np.maximum(line, MIN_HEIGHT_PX)), place[:, 1]
+        self._span = (*np.quantile(level, [0.0, 1.0]), *np.quantile(column, [0.0, 1.0]))
+        low, high, left, right = self._span
+        total = np.zeros((*CELLS, 2))
+        count = np.zeros(CELLS)
+        i = np.clip(np.rint((level - low) / max(high - low, 1e-6) * (CELLS[0] - 1)), 0, None)
+        j = np.clip(np.rint((column - left) / max(right - left, 1e-6) * (CELLS[1] - 1)), 0, None)
+        at = (i.astype(int), j.astype(int))
+        np.add.at(count, at, 1.0)
+        np.add.at(total, at, np.clip(off, -MAX_BEND, MAX_BEND))
+        # Neighbours count too: a cell by itself is noisy.
+        self._local = _blurred(total) / (_blurred(count) + CELL_PRIOR)[..., None]
 
     def _place(self, x: NDArray[np.float64], bottom: NDArray[np.float64]) -> NDArray[np.float64]:
         u, v = x / self._scale, bottom / self._scale

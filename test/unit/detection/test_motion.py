@@ -7,15 +7,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from geoorbit_ros.core.tables import FLAG_TRUNCATED
+from geoorbit_ros.core.boxes import box_corners, box_iou
 from geoorbit_ros.detection.detector import ImageError
 from geoorbit_ros.detection.motion import MotionDetector
+from geoorbit_ros.metrics.detection_score import DetectionScore
 from geoorbit_ros.scenes.render.conditions import Conditions
 from geoorbit_ros.scenes.render.rendered_scene import RenderedFrame, render_scene
 from geoorbit_ros.scenes.scene import load_scene
 
-MIN_HEIGHT_PX, MIN_VISIBLE = 16.0, 0.5
-"""The useful range: boxes at least this high, of vehicles visible at least so much."""
 SIZE, FPS, DURATION_S = (1280, 720), 6.0, 24.0
 
 
@@ -33,60 +32,29 @@ def primed() -> tuple[MotionDetector, list[NDArray[np.void]]]:
     return detector, [detector.detect(frame.stamp_ns, frame.image) for frame in film()]
 
 
-def corners(rows: NDArray[np.void]) -> NDArray[np.float64]:
-    x, y, w, h = (rows[name].astype(np.float64) for name in ("x", "y", "width", "height"))
-    return np.column_stack([x - w / 2, y - h / 2, x + w / 2, y + h / 2])
-
-
-def overlaps(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    low = np.maximum(a[:, None, :2], b[None, :, :2])
-    high = np.minimum(a[:, None, 2:], b[None, :, 2:])
-    shared = np.clip(high - low, 0, None).prod(axis=2)
-    areas = [(box[:, 2:] - box[:, :2]).prod(axis=1) for box in (a, b)]
-    return np.asarray(shared / (areas[0][:, None] + areas[1][None] - shared))
-
-
-def compare(
-    frames: tuple[RenderedFrame, ...], tables: list[NDArray[np.void]]
-) -> tuple[float, float, NDArray[np.float64]]:
-    """Recall, precision, and the error of each edge (M, 4) over the box's height."""
-    hits = misses = false = 0
-    errors = []
+def score(frames: tuple[RenderedFrame, ...], tables: list[NDArray[np.void]]) -> DetectionScore:
+    total = DetectionScore()
     for frame, rows in zip(frames, tables, strict=True):
-        truth = frame.boxes
-        useful = (truth["height"] >= MIN_HEIGHT_PX) & (truth["score"] >= MIN_VISIBLE)
-        found, true = corners(rows), corners(truth)
-        matched = set()
-        table = overlaps(found, true)
-        for k in np.argsort(-rows["score"], kind="stable"):
-            best = int(np.argmax(table[k])) if len(true) else -1
-            if best >= 0 and table[k, best] >= 0.5 and best not in matched:
-                matched.add(best)
-                hits += int(useful[best])
-                if useful[best] and not truth["flags"][best] & FLAG_TRUNCATED:
-                    errors.append((found[k] - true[best]) / truth["height"][best])
-            elif rows["height"][k] >= MIN_HEIGHT_PX:
-                false += 1
-        misses += len(set(np.flatnonzero(useful).tolist()) - matched)
-    return hits / (hits + misses), hits / (hits + false), np.array(errors)
+        total.add(rows, frame.boxes, SIZE[0])
+    return total
 
 
 def test_recall_and_precision_on_a_rendered_day() -> None:
-    recall, precision, _ = compare(film(), primed()[1])
-    assert recall >= 0.9
-    assert precision >= 0.9
+    found = score(film(), primed()[1])
+    assert found.recall >= 0.9
+    assert found.precision >= 0.9
 
 
 def test_edges_are_where_they_are_in_the_middle() -> None:
     """A shadow that is left over, or a soft edge, would move lanes all in one direction."""
-    _, _, errors = compare(film(), primed()[1])
+    errors = score(film(), primed()[1]).edge_errors
     assert np.abs(np.median(errors, axis=0)).max() < 0.06
 
 
 def test_trucks_and_cars_are_told_apart_by_size() -> None:
     right = total = 0
     for frame, rows in zip(film(), primed()[1], strict=True):
-        table = overlaps(corners(rows), corners(frame.boxes))
+        table = box_iou(box_corners(rows), box_corners(frame.boxes))
         for k, best in enumerate(table.argmax(axis=1) if len(frame.boxes) else []):
             if table[k, best] > 0.6:
                 total += 1
@@ -175,5 +143,5 @@ def test_time_may_start_again() -> None:
     """A recording that is looped: the road stays known, boxes come as before."""
     detector, _ = primed()
     again = [detector.detect(frame.stamp_ns, frame.image) for frame in film()[:30]]
-    recall, precision, _ = compare(film()[:30], again)
-    assert min(recall, precision) >= 0.85
+    found = score(film()[:30], again)
+    assert min(found.recall, found.precision) >= 0.85
