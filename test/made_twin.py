@@ -13,6 +13,7 @@ from geoorbit_ros.scenes.road_plan import Bend, LaneRef, Opposite, Road, Start, 
 from geoorbit_ros.scenes.roads import PlacedRoad, place_roads
 from geoorbit_ros.scenes.scene import load_scene
 from geoorbit_ros.twin.placement import TwinStep
+from geoorbit_ros.twin.scenario import Scenario
 from geoorbit_ros.twin.simulation import Moves, States
 
 DATUM = Datum(43.05, -89.35)
@@ -100,6 +101,9 @@ class FakeSimulation:
     def states(self, names: Sequence[str]) -> States:
         table = np.array([self.there[name] for name in names]).reshape(-1, 3)
         return States(table[:, :2], table[:, 2], [""] * len(names))
+
+    def set_scenario(self, scenario: Scenario) -> None:
+        self.scenario = scenario
 
     def close(self) -> None:
         self.there.clear()

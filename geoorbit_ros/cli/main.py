@@ -14,7 +14,7 @@ from typing import Annotated
 import typer
 
 from geoorbit_ros import __version__
-from geoorbit_ros.cli import bag, camera, database, federation, scene, twin
+from geoorbit_ros.cli import bag, camera, database, federation, scene, twin, twin_forecast
 from geoorbit_ros.cli import map as road_map
 from geoorbit_ros.cli.demo import demo
 from geoorbit_ros.cli.detect import detect
@@ -92,6 +92,7 @@ app.add_typer(camera.app, name="camera")
 app.add_typer(bag.app, name="bag")
 app.add_typer(database.app, name="db")
 app.add_typer(road_map.app, name="map")
+twin.app.command("forecast")(twin_forecast.forecast)
 app.add_typer(twin.app, name="twin")
 app.add_typer(federation.app, name="federation")
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 
@@ -18,40 +17,19 @@ from geoorbit_ros.conversions import datum_from_fix
 from geoorbit_ros.core.errors import GeoOrbitError, MessageError
 from geoorbit_ros.core.tables import TRACK_DTYPE
 from geoorbit_ros.nodes.base import GeoOrbitNode
+from geoorbit_ros.nodes.forecaster import Forecaster
 from geoorbit_ros.nodes.latched import LATCHED
 from geoorbit_ros.nodes.map_validator import MapValidator
 from geoorbit_ros.nodes.process import run_node
 from geoorbit_ros.nodes.reference_publisher import ReferencePublisher
+from geoorbit_ros.nodes.sumo_bridge_parameters import SumoBridgeParameters
 from geoorbit_ros.nodes.table_stream import TableStream, stream_qos
 from geoorbit_ros.nodes.twin_publisher import TwinPublisher
 from geoorbit_ros.twin.cameras import read_views, split_names
 from geoorbit_ros.twin.network import load_network
+from geoorbit_ros.twin.placement import TwinStep
 from geoorbit_ros.twin.runner import TwinRunner
 from geoorbit_ros.twin.simulation import SumoSimulation, backend_of
-
-
-@dataclass(frozen=True, slots=True)
-class SumoBridgeParameters:
-    """See params/sumo_bridge.yaml."""
-
-    network: str
-    cameras: str
-    calibrations: str
-    image_sizes: str
-    datum_latitude_deg: float
-    datum_longitude_deg: float
-    step_s: float
-    hold_s: float
-    backend: str
-    gui: bool
-    publish_clock: bool
-    health_period_s: float
-    frame_id: str
-    reliability: str
-    queue_depth: int
-    restart_jump_s: float
-    map_check_period_s: float
-    align: bool
 
 
 class SumoBridgeNode(GeoOrbitNode[SumoBridgeParameters]):
@@ -84,7 +62,10 @@ class SumoBridgeNode(GeoOrbitNode[SumoBridgeParameters]):
         self.twin = TwinPublisher(
             self, network.datum, p.frame_id, qos, p.health_period_s, clock=p.publish_clock
         )
-        self.runner = TwinRunner(network, start, cameras, p.step_s, p.hold_s, self.twin.publish)
+        self.forecaster = Forecaster(self, network, p.forecast_window_s)
+        scenario = self.forecaster.changed(p)
+        self.runner = TwinRunner(network, start, cameras, p.step_s, p.hold_s, self._on_step)
+        self.runner.set_scenario(scenario)
         align, period_s = self.runner.set_alignment if p.align else None, p.map_check_period_s
         self.map = MapValidator(self, network, cameras, p.frame_id, period_s, align)
         self.known = self.map.datums
@@ -97,25 +78,20 @@ class SumoBridgeNode(GeoOrbitNode[SumoBridgeParameters]):
             TableStream(self, f"{camera}/tracks", TRACK_DTYPE, p, on_frame, on_restart)
             self.create_subscription(NavSatFix, datum_topic, on_datum, LATCHED)
 
+    def on_parameters(self, changed: SumoBridgeParameters) -> None:
+        """Close lanes and set limits; refused where the network has no such lane."""
+        self.runner.set_scenario(self.forecaster.changed(changed))
+
     def diagnostic_values(self) -> Mapping[str, object]:
         """Size and speed of the twin, and what happened to tracks."""
-        latest, twin = self.twin.latest, self.runner.twin
-        return {
-            "vehicles": len(twin.fleet.slots),
-            "steps": twin.steps,
-            "steps_per_s": f"{latest.steps_per_s:.0f}" if latest else "",
-            "error_m_p95": f"{latest.position_error_m_p95:.3f}" if latest else "",
-            "other_lane_share": f"{latest.lane_error_share:.4f}" if latest else "",
-            "vehicles_lost": twin.placement.lost,
-            "simulation_restarts": self.runner.restarts,
-            **asdict(twin.fusion.counts),
-            **self.map.diagnostic_values(),
-        }
+        parts = (self.runner, self.twin, self.map, self.forecaster)
+        return {name: value for part in parts for name, value in part.diagnostic_values().items()}
 
     def close(self) -> None:
         """End the simulation."""
         if hasattr(self, "map"):
             self.map.close()
+            self.forecaster.close()
             self.runner.close()
 
     def _on_datum(self, camera: str, place: str, fix: NavSatFix) -> None:
@@ -128,6 +104,10 @@ class SumoBridgeNode(GeoOrbitNode[SumoBridgeParameters]):
             return
         self.known[camera] = datum
         self.runner.set_datum(camera, datum)
+
+    def _on_step(self, step: TwinStep) -> None:
+        self.twin.publish(step)
+        self.forecaster.traffic.add(step)
 
     def _on_frame(self, camera: str, place: str, stamp_ns: int, rows: NDArray[np.void]) -> None:
         self.twin.arrived_s = time.perf_counter()

@@ -67,6 +67,15 @@ class TwinPublisher:
         self.latest: HealthReport | None = None
         self.arrived_s = time.perf_counter()
 
+    def diagnostic_values(self) -> dict[str, str]:
+        """The last report's main figures, for diagnostics."""
+        latest = self.latest
+        return {
+            "steps_per_s": f"{latest.steps_per_s:.0f}" if latest else "",
+            "error_m_p95": f"{latest.position_error_m_p95:.3f}" if latest else "",
+            "other_lane_share": f"{latest.lane_error_share:.4f}" if latest else "",
+        }
+
     def publish(self, step: TwinStep) -> None:
         """Publish one step."""
         rows = track_rows(step)

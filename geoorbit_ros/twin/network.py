@@ -71,6 +71,16 @@ class RoadNetwork:
         """(K, 2) centre line of one lane, a view."""
         return self.point_m[self.start[lane] : self.start[lane + 1]]
 
+    def place_on(self, lane: int, xy: NDArray[np.float64]) -> float:
+        """Metres along a lane's centre line to the point of it nearest to `xy` (2,)."""
+        line, arc = self.line(lane), self.arc(lane)
+        step = np.diff(line, axis=0)
+        length = np.maximum(np.hypot(step[:, 0], step[:, 1]), 1e-9)
+        along = np.clip(((xy - line[:-1]) * step).sum(axis=1) / length, 0.0, length)
+        away = np.hypot(*(line[:-1] + (along / length)[:, None] * step - xy).T)
+        k = int(np.argmin(away))
+        return float(arc[k] + along[k])
+
     @cached_property
     def _arc_m(self) -> NDArray[np.float64]:
         step = np.hypot(*np.diff(self.point_m, axis=0).T)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree as Xml
@@ -14,6 +13,7 @@ from geoorbit_ros.metrics.polyline import project
 from geoorbit_ros.twin.network import NONE, RoadNetwork
 from geoorbit_ros.twin.placement import TwinStep
 from geoorbit_ros.twin.vehicle_types import TYPES, add_type
+from geoorbit_ros.twin.ways import Ways
 
 ROUTES, TYPE_FILE, CONFIG = "traffic.rou.xml", "traffic.add.xml", "traffic.sumocfg"
 MIN_DRIVEN_M = 20.0
@@ -21,8 +21,6 @@ MIN_DRIVEN_M = 20.0
 SPEED_FACTOR_BOUNDS = (0.2, 2.0)
 SPEED_S = 1.0
 """A vehicle departs with its mean speed over this time."""
-MAX_EDGES = 50
-"""No camera misses more edges between two places that it sees."""
 
 
 @dataclass(slots=True)
@@ -105,7 +103,7 @@ class RouteWriter:
             folder: Where the files go.
             network_file: Path of the network, as the configuration shall name it.
         """
-        routes, ways = Xml.Element("routes"), _Ways(self._network)
+        routes, ways = Xml.Element("routes"), Ways(self._network)
         factors: dict[int, list[float]] = {}
         too_short = no_way = written = 0
         for number, seen in sorted(self._seen.items(), key=lambda item: item[1].begin_s):
@@ -129,43 +127,6 @@ class RouteWriter:
         _save(additional, folder / TYPE_FILE)
         _save(_config(network_file), folder / CONFIG)
         return RouteCounts(written, too_short, no_way)
-
-
-class _Ways:
-    """Ways between edges over edges that no camera saw."""
-
-    def __init__(self, network: RoadNetwork) -> None:
-        self._after: dict[str, set[str]] = {}
-        for lane in range(len(network)):
-            edge = network.edge_id[lane]
-            for after in network.successors[lane]:
-                self._after.setdefault(edge, set()).add(network.edge_id[after])
-        self._internal = {
-            edge for edge, inside in zip(network.edge_id, network.internal, strict=True) if inside
-        }
-
-    def complete(self, edges: list[str]) -> list[str] | None:
-        """The edges with those between them; None where no way leads on."""
-        way = edges[:1]
-        for target in edges[1:]:
-            between = self._shortest(way[-1], target)
-            if between is None:
-                return None
-            way += [edge for edge in between if edge not in self._internal]
-        return way
-
-    def _shortest(self, begin: str, end: str) -> list[str] | None:
-        waiting = deque([[begin]])
-        seen = {begin}
-        while waiting:
-            way = waiting.popleft()
-            if way[-1] == end:
-                return way[1:]
-            if len(way) <= MAX_EDGES:
-                for edge in sorted(self._after.get(way[-1], set()) - seen):
-                    seen.add(edge)
-                    waiting.append([*way, edge])
-        return None
 
 
 def _add_vehicle(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from geoorbit_ros.twin.alignment import Alignment
 from geoorbit_ros.twin.errors import SimulationError
 from geoorbit_ros.twin.network import RoadNetwork
 from geoorbit_ros.twin.placement import TwinStep
+from geoorbit_ros.twin.scenario import Scenario
 from geoorbit_ros.twin.simulation import Simulation
 from geoorbit_ros.twin.synchronizer import Synchronizer
 
@@ -57,6 +59,7 @@ class TwinRunner:
         self._simulation: Simulation | None = start()
         self._failed_s = -RETRY_S
         self.restarts = 0
+        self._scenario = Scenario()
         self.twin = Synchronizer(network, self._simulation, cameras, step_s, hold_s, on_step)
 
     @property
@@ -71,6 +74,12 @@ class TwinRunner:
     def set_alignment(self, camera: str, alignment: Alignment) -> None:
         """Lay a camera's tracks on the network."""
         self.twin.set_alignment(camera, alignment)
+
+    def set_scenario(self, scenario: Scenario) -> None:
+        """Close lanes and set limits, now and in every simulation that takes this one's place."""
+        self._scenario = scenario
+        if self._simulation is not None:
+            self._simulation.set_scenario(scenario)
 
     def restart(self, camera: str) -> None:
         """A camera's stream begins anew."""
@@ -94,6 +103,17 @@ class TwinRunner:
             self._revive()
             raise
 
+    def diagnostic_values(self) -> dict[str, object]:
+        """Size of the twin, and what happened to tracks and to the simulation."""
+        twin = self.twin
+        return {
+            "vehicles": len(twin.fleet.slots),
+            "steps": twin.steps,
+            "vehicles_lost": twin.placement.lost,
+            "simulation_restarts": self.restarts,
+            **asdict(twin.fusion.counts),
+        }
+
     def close(self) -> None:
         """End the simulation."""
         if self._simulation is not None:
@@ -110,5 +130,6 @@ class TwinRunner:
         except SimulationError:
             self._failed_s = now_s
             raise
+        self._simulation.set_scenario(self._scenario)
         self.restarts += 1
         self.twin.replace_simulation(self._simulation)

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.twin.errors import SimulationError
 from geoorbit_ros.twin.running_network import write_running_network
+from geoorbit_ros.twin.scenario import Scenario
 from geoorbit_ros.twin.sumo_process import (
     CLOSE_TIMEOUT_S,
     exit_words,
@@ -120,6 +121,9 @@ class Simulation(Protocol):
     def states(self, names: Sequence[str]) -> States:
         """Where vehicles are."""
 
+    def set_scenario(self, scenario: Scenario) -> None:
+        """Close these lanes and set these limits, and undo what was changed before."""
+
     def close(self) -> None:
         """End the simulation."""
 
@@ -178,6 +182,8 @@ class SumoSimulation:
         self._folder = Path(tempfile.mkdtemp(prefix="geoorbit_twin_"))
         self._process: subprocess.Popen[bytes] | None = None
         self._in_process = backend == "libsumo"
+        self._changed: set[str] = set()  # lanes of the file that a scenario changed
+        self._original: dict[str, tuple[float, Sequence[str]]] = {}  # limit, closed classes
         self._inside: set[str] = set()  # vehicles that entered and were not removed
         self._piece_of: dict[str, str] = {}  # edge that SUMO had each vehicle on
         self._sumo: Any = None  # set by the start, unset by the end
@@ -280,6 +286,26 @@ class SumoSimulation:
         found.xy[at], found.angle_deg[at] = np.array(xy).reshape(-1, 2), angle
         lanes = dict(zip(known, lane, strict=True))
         return States(found.xy, found.angle_deg, [lanes.get(name, "") for name in names])
+
+    def set_scenario(self, scenario: Scenario) -> None:
+        """Close these lanes and set these limits, and undo what was changed before.
+
+        The vehicles that are tracked go on where they are seen, closed or not.
+        """
+        lanes: Any = self.sumo.lane
+        with self._watched():
+            for lane in {*scenario.closed, *scenario.limit_mps, *self._changed}:
+                edge, _, index = lane.rpartition("_")
+                for piece in (f"{name}_{index}" for name in self.running.pieces(edge)):
+                    if piece not in self._original:
+                        self._original[piece] = (
+                            lanes.getMaxSpeed(piece),
+                            lanes.getDisallowed(piece),
+                        )
+                    speed, disallowed = self._original[piece]
+                    lanes.setMaxSpeed(piece, scenario.limit_mps.get(lane, speed))
+                    lanes.setDisallowed(piece, ["all"] if lane in scenario.closed else disallowed)
+        self._changed = {*scenario.closed, *scenario.limit_mps}
 
     def close(self) -> None:
         """End the simulation; a program that does not end is killed."""

@@ -33,17 +33,14 @@ def start_program(
     """
     import sumolib
 
-    path = shutil.which(sumolib.checkBinary(program))
-    if path is None:
-        raise SimulationError("SUMO", f"no program '{program}'", "pip install eclipse-sumo")
+    path = program_path(program)
     port = sumolib.miscutils.getFreeSocketPort()
-    env = {key: value for key, value in os.environ.items() if key not in _LEAKED}
     gui = ["--start", "--quit-on-end"] if program == "sumo-gui" else []
     log = folder / "sumo.log"
     with log.open("wb") as output:
         process = subprocess.Popen(
             [path, *arguments, *gui, f"--remote-port={port}"],
-            env=env,
+            env=program_environment(),
             stdout=output,
             stderr=subprocess.STDOUT,
         )
@@ -53,6 +50,25 @@ def start_program(
         process.kill()
         process.wait()
         raise
+
+
+def program_path(program: str) -> str:
+    """Where one of SUMO's programs is.
+
+    Raises:
+        SimulationError: Nowhere.
+    """
+    import sumolib
+
+    path: str | None = shutil.which(sumolib.checkBinary(program))
+    if path is None:
+        raise SimulationError("SUMO", f"no program '{program}'", "pip install eclipse-sumo")
+    return path
+
+
+def program_environment() -> dict[str, str]:
+    """This process's environment without what only this process may see."""
+    return {key: value for key, value in os.environ.items() if key not in _LEAKED}
 
 
 def _connect(port: int, process: subprocess.Popen[bytes], log: Path) -> Any:

@@ -1,0 +1,201 @@
+"""Forecasts: they continue what was seen, and a closed lane costs what it must."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_twin import DATUM, FakeSimulation
+
+from geoorbit_ros.core.errors import ParameterError
+from geoorbit_ros.core.tables import TRACK_DTYPE
+from geoorbit_ros.scenes.network import write_network
+from geoorbit_ros.scenes.road_plan import Road, Start, Straight
+from geoorbit_ros.scenes.roads import place_roads
+from geoorbit_ros.scenes.scene import load_scene
+from geoorbit_ros.twin.errors import SimulationError
+from geoorbit_ros.twin.forecast import AS_IT_IS, WITH_CHANGES, Forecast, ForecastRun
+from geoorbit_ros.twin.forecast_files import ForecastStart
+from geoorbit_ros.twin.network import RoadNetwork, load_network
+from geoorbit_ros.twin.observed_traffic import Demand, ObservedTraffic
+from geoorbit_ros.twin.scenario import Scenario, parse_scenario
+from geoorbit_ros.twin.synchronizer import Synchronizer
+
+SPEED_MPS, SEEN_S = 22.0, 120.0
+FLOW_PER_H = 3000.0
+"""More than one lane carries, less than two do."""
+
+
+@pytest.fixture(scope="module")
+def network(tmp_path_factory: pytest.TempPathFactory) -> RoadNetwork:
+    """Two lanes east: 400 m, then 300 m more."""
+    start = Start(x_m=0, y_m=0, heading_deg=90)
+    roads = [
+        Road(id="first", lanes=2, path=[Straight(straight_m=400.0)], start=start),
+        Road(id="second", lanes=2, path=[Straight(straight_m=300.0)], follows="first"),
+    ]
+    scene = load_scene("straight_3x3").model_copy(update={"roads": roads})
+    net = write_network(place_roads(scene), tmp_path_factory.mktemp("net"), DATUM)
+    return load_network(net, DATUM)
+
+
+class Seen:
+    """Traffic of two lanes through a twin without SUMO, seen from 100 m to 600 m."""
+
+    def __init__(self, network: RoadNetwork, broken: bool = False) -> None:
+        self.traffic = ObservedTraffic(network, 600.0)
+        twin = Synchronizer(network, _OnLanes(network), ["c"], 0.1, 0.0, self.traffic.add)
+        random = np.random.default_rng(3)
+        # Per lane, and nobody nearer than a second to the one before.
+        gaps = 1.0 + random.exponential(2.0 * 3600.0 / FLOW_PER_H - 1.0, (2, 200))
+        times, lanes = np.cumsum(gaps, axis=1).ravel() - 40.0, np.repeat([0, 1], 200)
+        y = [float(network.line(network.number[f"first_{k}"])[0, 1]) for k in range(2)]
+        for k in range(round(SEEN_S / 0.1)):
+            at = 100.0 + (k * 0.1 - times) * SPEED_MPS
+            here = np.flatnonzero((at > 100.0) & (at < 600.0))
+            rows = np.zeros(len(here), TRACK_DTYPE)
+            # A tracker that loses every vehicle half-way gives it another number.
+            rows["track_id"] = here + (1000 * (at[here] > 350.0) if broken else 0)
+            rows["x"], rows["y"] = at[here], np.array(y)[lanes[here]]
+            rows["vx"], rows["length"], rows["width"] = SPEED_MPS, 4.6, 1.8
+            rows["sigma"], rows["class_id"] = 0.2, 2
+            twin.add("c", 10**9 + k * 10**8, rows)
+
+    @property
+    def demand(self) -> Demand:
+        found = self.traffic.demand()
+        assert found is not None
+        return found
+
+
+class _OnLanes(FakeSimulation):
+    """Says for each vehicle the lane that it was put on."""
+
+    def __init__(self, network: RoadNetwork) -> None:
+        super().__init__()
+        self._network, self._lane = network, dict[str, str]()
+
+    def move(self, moves):  # type: ignore[no-untyped-def]
+        super().move(moves)
+        for name, edge, lane in zip(moves.name, moves.edge, moves.lane, strict=True):
+            self._lane[name] = f"{edge}_{lane}"
+
+    def states(self, names):  # type: ignore[no-untyped-def]
+        found = super().states(names)
+        return type(found)(found.xy, found.angle_deg, [self._lane[name] for name in names])
+
+
+@pytest.fixture(scope="module")
+def seen(network: RoadNetwork) -> Seen:
+    return Seen(network)
+
+
+def start(seen: Seen, horizon_s: float = 600.0) -> ForecastStart:
+    assert seen.traffic.last is not None
+    return ForecastStart(seen.traffic.last, seen.demand, horizon_s, seed=1)
+
+
+@pytest.fixture(scope="module")
+def forecasts(network: RoadNetwork, seen: Seen) -> Iterator[list[Forecast]]:
+    scenario = parse_scenario(["second_0"], ["first=60"], network, "test")
+    run = ForecastRun(network, start(seen), scenario, 60.0)
+    yield run.wait()
+    run.close()
+
+
+def flow(forecast: Forecast, edge: str) -> float:
+    return sum(lane.flow_per_h for lane in forecast.lanes if lane.lane.startswith(edge))
+
+
+def test_flows_and_drivers_are_those_that_were_seen(network: RoadNetwork, seen: Seen) -> None:
+    demand = seen.demand
+    # Of 90 vehicles in two minutes the number itself varies by a tenth.
+    assert demand.flow_per_h == pytest.approx({"first": FLOW_PER_H}, rel=0.12)
+    assert demand.edge_flow_per_h["second"] == pytest.approx(demand.flow_per_h["first"], rel=0.15)
+    assert set(demand.turns) == {"first"}
+    assert set(demand.turns["first"]) == {"second"}
+    limit = network.speed_mps[network.number["first_0"]]
+    assert demand.factors == pytest.approx(SPEED_MPS / limit, rel=0.01)
+
+
+def test_broken_tracks_add_no_traffic(network: RoadNetwork, seen: Seen) -> None:
+    broken = Seen(network, broken=True).demand
+    assert broken.flow_per_h["first"] == pytest.approx(seen.demand.flow_per_h["first"], rel=0.03)
+
+
+def test_without_changes_the_traffic_goes_on_as_seen(forecasts: list[Forecast]) -> None:
+    as_it_is = forecasts[0]
+    assert as_it_is.scenario == AS_IT_IS
+    assert flow(as_it_is, "second") == pytest.approx(FLOW_PER_H, rel=0.12)
+    assert as_it_is.left_per_h == pytest.approx(FLOW_PER_H, rel=0.12)
+    assert as_it_is.waiting == 0
+    assert max(lane.queue_m_max for lane in as_it_is.lanes) < 30.0
+    for lane in as_it_is.lanes:
+        assert lane.speed_kmh is not None
+        assert 0.8 * 3.6 * SPEED_MPS < lane.speed_kmh < 1.1 * 3.6 * SPEED_MPS
+        length_m = 400.0 if lane.lane.startswith("first") else 300.0
+        assert lane.travel_time_s == pytest.approx(3.6 * length_m / lane.speed_kmh, rel=0.05)
+
+
+def test_one_of_two_lanes_closed_carries_less_and_queues(forecasts: list[Forecast]) -> None:
+    as_it_is, changed = forecasts
+    assert changed.scenario == WITH_CHANGES
+    assert changed.changes == "second_0 closed; first_0 60 km/h; first_1 60 km/h"
+    assert changed.left_per_h < 0.85 * as_it_is.left_per_h
+    by_lane = {lane.lane: lane for lane in changed.lanes}
+    assert by_lane["second_0"].flow_per_h == 0.0
+    assert by_lane["second_0"].speed_kmh is None
+    assert changed.waiting + sum(lane.queue_vehicles for lane in changed.lanes) > 10
+    assert by_lane["first_0"].queue_m_max > 100.0 + as_it_is.lanes[0].queue_m_max
+    assert max(by_lane["first_0"].speed_kmh or 0, by_lane["first_1"].speed_kmh or 0) < 61.0
+
+
+def test_results_are_json_without_nan(forecasts: list[Forecast]) -> None:
+    text = json.dumps([forecast.values() for forecast in forecasts], allow_nan=False)
+    assert {lane["lane"] for lane in json.loads(text)[0]["lanes"]} == {
+        "first_0",
+        "first_1",
+        "second_0",
+        "second_1",
+    }
+
+
+def test_the_same_start_gives_the_same_forecast(network: RoadNetwork, seen: Seen) -> None:
+    lanes = []
+    for _ in range(2):
+        run = ForecastRun(network, start(seen, 60.0), Scenario(), 60.0)
+        lanes.append([forecast.lanes for forecast in run.wait()])
+        run.close()
+    assert lanes[0] == lanes[1]
+    assert len(lanes[0]) == 1  # nothing is changed: one scenario
+
+
+def test_a_forecast_that_takes_too_long_is_given_up(network: RoadNetwork, seen: Seen) -> None:
+    now_s = iter(range(0, 1000, 100))
+    run = ForecastRun(network, start(seen), Scenario(), 50.0, lambda: float(next(now_s)))
+    with pytest.raises(SimulationError, match="no result in 50 s"):
+        run.wait()
+    run.close()
+
+
+@pytest.mark.parametrize(
+    ("closed", "limits", "said"),
+    [
+        (["nowhere_0"], [], "'nowhere_0'.*first_0, first_1"),
+        ([], ["first"], "'first'.*<km/h"),
+        ([], ["first=fast"], "'first=fast'"),
+        ([], ["first=900"], "from 1 to 250"),
+        ([], ["none=50"], "'none'"),
+    ],
+)
+def test_a_scenario_that_the_network_has_not_is_one_sentence(
+    network: RoadNetwork, closed: list[str], limits: list[str], said: str
+) -> None:
+    with pytest.raises(ParameterError, match=said) as error:
+        parse_scenario(closed, limits, network, "test")
+    assert "\n" not in str(error.value)
+
+
+def test_nothing_seen_is_no_demand(network: RoadNetwork, tmp_path: Path) -> None:
+    assert ObservedTraffic(network, 600.0).demand() is None
