@@ -8,10 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.calibration.camera_pose import recover_pose
 from geoorbit_ros.calibration.control_points import read_control_points
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.core.errors import InputFileError, ParameterError
+from geoorbit_ros.twin.carla_frame import CarlaCamera, camera_pose
 from geoorbit_ros.twin.view import view_polygon
 
 
@@ -69,6 +71,37 @@ def read_views(
             raise InputFileError(file, "control points in metres", "latitudes and longitudes")
         views[name] = CameraView(points.datum, view_polygon(fit_homography(points), size))
     return views
+
+
+def read_carla_cameras(
+    cameras: list[str], calibrations: str, image_sizes: str, place: str, origin: Datum
+) -> list[CarlaCamera]:
+    """The cameras as CARLA makes them, in the frame of a road.
+
+    Args:
+        cameras: Names.
+        calibrations: One file per camera, separated by spaces.
+        image_sizes: `1920x1080` of all cameras, or one such for each.
+        place: For errors.
+        origin: Where the road's frame lies.
+
+    Raises:
+        GeoOrbitError: A file or size that can't be used, not one per camera, or control points that
+            leave the camera's height open.
+    """
+    files, found = calibrations.split(), []
+    if len(files) != len(cameras):
+        said = f"{len(files)} files for {len(cameras)} cameras"
+        raise ParameterError(f"{place}'calibrations'", said, "one file per camera, in their order")
+    sizes = _sizes(image_sizes, len(cameras), place) if cameras else []
+    for name, file, size in zip(cameras, files, sizes, strict=True):
+        points = read_control_points(file, None)
+        if points.datum is None:
+            raise InputFileError(file, "control points in metres", "latitudes and longitudes")
+        pose = recover_pose(fit_homography(points), size)
+        at = origin.to_local(points.datum.latitude_deg, points.datum.longitude_deg)[0]
+        found.append(camera_pose(name, pose, size, at))
+    return found
 
 
 def _sizes(text: str, cameras: int, place: str) -> list[tuple[int, int]]:

@@ -11,3 +11,7 @@ class RoadNetworkError(GeoOrbitError):
 
 class SimulationError(GeoOrbitError):
     """SUMO did not start, refused something, or is gone."""
+
+
+class CarlaError(GeoOrbitError):
+    """CARLA's client is not there, or its server does not answer, or refuses something."""
