@@ -25,6 +25,7 @@ VEHICLE_DTYPE = np.dtype(
         ("predicted", "?"),
         ("cameras", "<i8"),
         ("possible_mps", "<f8"),
+        ("slow_s", "<f8"),
         ("anchor", "<f8", 2),
         ("anchor_ns", "<i8"),
         ("lane", "<i8"),
@@ -41,9 +42,10 @@ VEHICLE_DTYPE = np.dtype(
 """State of a vehicle: middle of its footprint in the map frame; `heading` as tracked and
 `course` as driven (`synchronizer.plausible_course`); `kind` numbers `TYPES`;
 `observed`: a track has it in this step, and `predicted`: but only as a prediction; `cameras`: how
-many see it; `possible_mps`: the least speed it can have by braking, and `anchor…`: where and since
-when it has been within a few metres (`ghosts`); `within`: between the borders of its lane;
-`entered`: whether it is in the simulation, and `sim_…` what it is there."""
+many see it; `possible_mps`: the least speed it can have by braking, `slow_s`: how long it has been
+far below, and `anchor…`: where and since when it has been within a few metres (`ghosts`);
+`within`: between the borders of its lane; `entered`: whether it is in the simulation, and `sim_…`
+what it is there."""
 
 _MEMORY = 0.98
 """A class vote fades to half in 3.4 s of steps at 10 Hz."""

@@ -16,6 +16,8 @@ MAX_BRAKING_MPS2 = 9.0
 """Dry asphalt; trackers smooth speeds, and so show less."""
 FAST_MPS, STOPPED_SHARE = 10.0, 0.35
 """Below this share of the speed that is possible by braking, a vehicle that was fast is none."""
+BRAKES_S = 0.4
+"""For so long, as speeds of tracks that change their vehicle are wrong for a moment."""
 STANDS_M, STANDS_S = 6.0, 2.0
 """What has not moved by more for so long stands."""
 THROUGH_ALONG_M, THROUGH_ACROSS_M = 1.5, 1.0
@@ -67,7 +69,9 @@ class GhostWatch:
         seen = slots[table["observed"][slots]]
         speed = np.hypot(*table["velocity"][seen].T)
         possible = table["possible_mps"][seen] - MAX_BRAKING_MPS2 * step_s
-        brakes = (possible > FAST_MPS) & (speed < STOPPED_SHARE * possible)
+        slow = (possible > FAST_MPS) & (speed < STOPPED_SHARE * possible)
+        table["slow_s"][seen] = np.where(slow, table["slow_s"][seen] + step_s, 0.0)
+        brakes = (table["slow_s"][seen] > BRAKES_S) & (table["sigma"][seen] < MAX_SIGMA_M)
         table["possible_mps"][seen] = np.maximum(speed, possible)
         away = np.hypot(*(table["xy"][seen] - table["anchor"][seen]).T) > STANDS_M
         fresh = seen[away | (table["anchor_ns"][seen] == 0)]
