@@ -30,6 +30,9 @@ GATE_M = 1.75
 """Half a lane: what is farther is another lane."""
 MIN_LENGTH_M = 20.0
 """Of less, neither side says much."""
+EDGE_SHIFT_M, EDGE_FIT_M, EDGE_GAIN = 2.4, 0.8, 1.5
+"""An edge may be displaced by this; traffic then lies within this of its lanes; and it is so only
+where that much more of it lies there than without."""
 AGAINST_M = 0.8
 """A lane of the other direction is a partner where it is nearer by this than one of the same."""
 BESIDE_M = 6.0
@@ -54,7 +57,8 @@ class Partners:
         offset_m: (N,) of the sample to the left of that lane.
         along: (N,) cosine between the directions.
         arc_m: (N,) place along that lane.
-        gap_m: (N,) distance to the nearest network lane, partner or not, as a share of its width.
+        gap_m: (N,) distance to the nearest network lane, partner or not, as a share of its width,
+            without what the lane's edge is displaced by as a whole.
         xy: (N, 2) the samples, aligned.
     """
 
@@ -122,24 +126,49 @@ def find_partners(
     """Partners of all samples along detected centre lines (K, 2), aligned."""
     points = sample_lines(lines)
     near = offsets(points, [network.line(int(k)) for k in number])
+    moved = near.offset_m - edge_shifts(near, [network.edge_id[int(k)] for k in number])
     # Of two lanes in about one place the one that runs the right way.
-    best = np.argmin(np.abs(near.offset_m) + AGAINST_M * (near.along < 0.0), axis=1)
+    best = np.argmin(np.abs(moved) + AGAINST_M * (near.along < 0.0), axis=1)
     rows = np.arange(len(best))
-    offset = near.offset_m[rows, best]
+    distance = moved[rows, best]
     lane = number[best]
-    known = np.isfinite(offset)
-    gap = np.where(known, np.abs(offset) / network.width_m[lane], np.inf)
-    partner = known & (np.abs(offset) <= GATE_M)
-    partner &= _is_nearest(points.xy, points.lane, near, best, offset, lines)
+    known = np.isfinite(distance)
+    gap = np.where(known, np.abs(distance) / network.width_m[lane], np.inf)
+    partner = known & (np.abs(distance) <= GATE_M)
+    partner &= _is_nearest(points.xy, points.lane, near, best, distance, lines)
     return Partners(
         detected=points.lane,
         lane=np.where(partner, lane, -1),
-        offset_m=offset,
+        offset_m=near.offset_m[rows, best],
         along=near.along[rows, best],
         arc_m=near.arc_m[rows, best],
         gap_m=gap,
         xy=points.xy,
     )
+
+
+def edge_shifts(near: Offsets, edges: Sequence[str]) -> NDArray[np.float64]:
+    """(L,) how far to the left of each lane its edge's traffic is as a whole, often 0.
+
+    An edge that is displaced by about half a lane would have some of its lanes taken for their
+    neighbours. So the shift is looked for with which most of its samples lie on lanes.
+
+    Args:
+        near: Samples against L lanes.
+        edges: (L,) the edge of each lane.
+    """
+    shifts = np.zeros(len(edges))
+    grid = np.arange(-EDGE_SHIFT_M, EDGE_SHIFT_M + 1e-9, 0.1)
+    for name in dict.fromkeys(edges):
+        group = np.array([e == name for e in edges])
+        offset = near.offset_m[:, group]
+        offset = offset[np.isfinite(offset).any(axis=1)]
+        away = np.abs(offset[None] - grid[:, None, None]).min(axis=2, initial=np.inf)
+        fit = (1.0 - np.minimum(away / EDGE_FIT_M, 1.0) ** 2).sum(axis=1)
+        best = int(np.argmax(fit - 1e-3 * fit.max(initial=0.0) * np.abs(grid)))
+        if fit[best] > EDGE_GAIN * fit[len(grid) // 2]:
+            shifts[group] = grid[best]
+    return shifts
 
 
 def _is_nearest(

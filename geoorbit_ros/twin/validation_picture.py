@@ -28,7 +28,8 @@ COLOURS: dict[Kind, str] = {
     "width": "#1f77b4",
     "direction": "#c2185b",
 }
-MARGIN_M = 12.0
+MARGIN_M = np.array([12.0, 5.0])
+"""Along and across the road."""
 MAX_LINES = 30
 WRAP = 125
 
