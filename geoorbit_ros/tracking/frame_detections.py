@@ -29,6 +29,7 @@ class FrameDetections:
         measured: (4, M) see `motion.measurements`.
         variance: (4, M) of `measured`.
         score: (M,) confidence.
+        strong: (M,) whether it is confident.
         class_id: (M,) COCO class.
         cut: (M,) whether the image border cuts the box; False where the image's size is unknown.
         unusable: Detections left out because a number isn't finite or the box has no area.
@@ -38,6 +39,7 @@ class FrameDetections:
     measured: Array
     variance: Array
     score: Array
+    strong: NDArray[np.bool_]
     class_id: NDArray[np.int64]
     cut: NDArray[np.bool_]
     unusable: int
@@ -62,7 +64,8 @@ def prepare(
     cut = _cut(box, parameters.image_width, parameters.image_height)
     variance[:, cut] *= CUT_FACTOR
     unusable = len(rows) - int(np.count_nonzero(usable))
-    return FrameDetections(box, measurements(box), variance, value[4], kind, cut, unusable)
+    score, strong = value[4], value[4] >= parameters.high_score
+    return FrameDetections(box, measurements(box), variance, score, strong, kind, cut, unusable)
 
 
 def _cut(box: Array, image_width: int, image_height: int) -> NDArray[np.bool_]:

@@ -25,6 +25,7 @@ class TrackTable:
         box: (4, N) last observed box: x, y, width, height in pixels.
         born_ns: (N,) time of the first observation.
         stamp_ns: (N,) time of the last observation.
+        sure_ns: (N,) time of the last observation by a confident detection.
         track_id: (N,) 0 until the track is confirmed.
         hits: (N,) observations.
         missed: (N,) frames since the last observation.
@@ -41,6 +42,7 @@ class TrackTable:
     box: Array = field(default_factory=lambda: np.empty((4, 0)))
     born_ns: NDArray[np.int64] = field(default_factory=_integers)
     stamp_ns: NDArray[np.int64] = field(default_factory=_integers)
+    sure_ns: NDArray[np.int64] = field(default_factory=_integers)
     track_id: NDArray[np.int64] = field(default_factory=_integers)
     hits: NDArray[np.int64] = field(default_factory=_integers)
     missed: NDArray[np.int64] = field(default_factory=_integers)
@@ -74,6 +76,7 @@ class TrackTable:
             box=found.box[:, which],
             born_ns=zeros + stamp_ns,
             stamp_ns=zeros + stamp_ns,
+            sure_ns=zeros + stamp_ns,
             track_id=zeros,
             hits=zeros + 1,
             missed=zeros.copy(),
@@ -97,6 +100,7 @@ class TrackTable:
         self.state[:, :, which] = state
         self.box[:, which] = found.box[:, partner]
         self.stamp_ns[which] = stamp_ns
+        self.sure_ns[which[found.strong[partner]]] = stamp_ns
         self.hits[which] += 1
         self.missed[which] = 0
         self.foreseen[:, which] = 0.0

@@ -35,7 +35,9 @@ PAIR_LIMIT = 36.0
 GAP_COST = 4.0
 """Cost of a second unobserved: the longer, the likelier the vehicle is gone and this another."""
 WEAK_GAP_S = 0.8
-"""Weak detections continue tracks that were observed this recently."""
+"""Weak detections continue tracks that were observed this recently …"""
+WEAK_S = 8.0
+"""… and by a confident one this recently: a ghost that stands for ever is no vehicle."""
 FORESIGHT = 0.3
 """A track is predicted for this many times as long as it was observed."""
 FLOW_S = 0.3
@@ -129,7 +131,7 @@ class Tracker:
         self._end(self._expired(tracks.elapsed_s(stamp_ns)))
         elapsed_s = tracks.elapsed_s(stamp_ns)
         predicted = predict(tracks.state, elapsed_s, self._noise)
-        partner = self._associate(predicted, elapsed_s, found)
+        partner = self._associate(stamp_ns, predicted, elapsed_s, found)
         hit = np.flatnonzero(partner >= 0)
         of_hit = partner[hit]
         self.counts.recovered += int(
@@ -169,7 +171,7 @@ class Tracker:
         self.counts.weak += len(detections) - found.unusable - len(found)
 
     def _associate(
-        self, predicted: Array, elapsed_s: Array, found: FrameDetections
+        self, stamp_ns: int, predicted: Array, elapsed_s: Array, found: FrameDetections
     ) -> NDArray[np.intp]:
         """(N,) detection that continues each track, -1 for none."""
         tracks = self._tracks
@@ -185,10 +187,11 @@ class Tracker:
             found.variance,
             found.class_id,
         )
-        strong = found.score >= self._p.high_score
-        of_strong = strong[pairs.detection]
+        of_strong = found.strong[pairs.detection]
         _settle(partner, pairs.where(of_strong), PAIR_LIMIT)
-        open_weak = ~of_strong & (partner[pairs.track] < 0) & (elapsed_s[pairs.track] < WEAK_GAP_S)
+        doubtful_s = (stamp_ns - tracks.sure_ns) * 1e-9
+        trusted = (elapsed_s < WEAK_GAP_S) & (doubtful_s < WEAK_S)
+        open_weak = ~of_strong & (partner[pairs.track] < 0) & trusted[pairs.track]
         if open_weak.any():
             _settle(partner, pairs.where(open_weak), PAIR_LIMIT)
         return partner

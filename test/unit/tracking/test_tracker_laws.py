@@ -373,6 +373,17 @@ def test_weak_detections_continue_a_track_and_begin_none() -> None:
     assert track_all(frames, low_score=0.3)[-1].size == 0
 
 
+def test_a_ghost_that_a_vehicle_drove_over_is_not_followed_for_ever() -> None:
+    vehicle, ghost = Vehicle(3.0, 60.0, -3.0), Vehicle(3.0, 54.0, 0.0, score=0.4)
+    frames = []
+    for s in stamps(300):
+        here = [ghost] if seconds(s) > 2.0 else [vehicle]
+        frames.append((s, detections(here, seconds(s))))
+    output = track_all(frames)
+    assert len(output[60]) == 1
+    assert not any(len(rows) for rows in output[270:])
+
+
 def test_the_class_is_that_of_most_detections_and_a_person_stays_apart() -> None:
     car, person = Vehicle(1.0, 40.0, -3.0), Vehicle(3.2, 40.0, -3.0, 0, width_m=0.6, height_m=1.8)
     random = np.random.default_rng(4)
