@@ -117,6 +117,13 @@ def one_camera_nodes() -> list[Node]:
         ),
         Node(
             package=PACKAGE,
+            executable="overlay",
+            namespace=camera_id,
+            parameters=[params_file, {"calibration_file": calibration}],
+            condition=IfCondition(from_source),
+        ),
+        Node(
+            package=PACKAGE,
             executable="homography",
             namespace=camera_id,
             parameters=[params_file, sim_time, {"calibration_file": calibration}],

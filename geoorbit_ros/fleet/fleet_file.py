@@ -28,7 +28,7 @@ Pixels = Annotated[int, Field(ge=16, le=16384)]
 
 CAMERA_NODES = (
     *("bag_player", "camera", "detector", "tracker"),
-    *("homography", "lane_geometry", "recorder", "meta_client"),
+    *("homography", "lane_geometry", "recorder", "meta_client", "overlay"),
 )
 """Nodes in a camera's namespace, in the order in which data passes them."""
 

@@ -151,6 +151,7 @@ def camera_nodes(
             "stamp_now": True,
         }
     else:
+        wiring["overlay"] = {"calibration_file": ground["calibration_file"]}
         model = str(base / camera.model) if camera.model else ""
         wiring["tracker"] = dict(size)
         wiring["detector"] = {"model": model}

@@ -173,7 +173,9 @@ class Supervisor:
         read_end, write_end = os.pipe()
         os.set_blocking(read_end, False)
         with log_file.open("ab") as log:
-            # A session of its own: Ctrl-C reaches this process first, which ends them in order.
+            # A group of its own: Ctrl-C reaches this process first, which ends them in order. Not a
+            # session of its own: Linux shares the processor among sessions before it looks at
+            # priorities, and what works in the background would count as much as what is live.
             member.process = subprocess.Popen(
                 self._command(plan_file, write_end),
                 stdin=subprocess.DEVNULL,
@@ -181,7 +183,7 @@ class Supervisor:
                 stderr=subprocess.STDOUT,
                 env=self._environment,
                 pass_fds=(write_end,),
-                start_new_session=True,
+                process_group=0,
             )
         os.close(write_end)
         member._pipe, member._since_s, member._beat_s = read_end, now, now

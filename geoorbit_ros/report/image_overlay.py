@@ -48,10 +48,10 @@ class ImageOverlay:
     """Draws frame after frame of one camera.
 
     Args:
-        homography: The road plane.
+        homography: The road plane; None: lanes are not drawn.
     """
 
-    def __init__(self, homography: Homography) -> None:
+    def __init__(self, homography: Homography | None) -> None:
         self._homography = homography
         self._trails: dict[int, deque[NDArray[np.float64]]] = {}
         self._seen: dict[int, int] = {}
@@ -114,7 +114,7 @@ class ImageOverlay:
 
     def _with_lanes(self, image: Image, lane_map: LaneMap | None, scale: float) -> Image:
         """A copy of the image, the road's lanes brightened in the colour of their direction."""
-        if lane_map is None or not lane_map.lanes:
+        if lane_map is None or not lane_map.lanes or self._homography is None:
             return image.copy()
         if self._layer is None or self._lanes_of is not lane_map:
             self._lanes_of, self._layer = lane_map, np.zeros_like(image)
@@ -151,6 +151,7 @@ class ImageOverlay:
 
     def _pixels(self, ground_m: NDArray[np.float64], image: Image) -> NDArray[np.float64]:
         """(M, 2) pixels of those ground points (N, 2) that lie in or near the image."""
+        assert self._homography is not None  # without one no lanes are drawn
         with np.errstate(divide="ignore", invalid="ignore"):
             pixel = self._homography.to_pixel(ground_m)
         size = np.array([image.shape[1], image.shape[0]])

@@ -35,6 +35,12 @@ StampedPicture = tuple[int, str, NDArray[np.uint8]]
 """Capture time in nanoseconds, frame id, and (H, W, 3) blue, green, red."""
 
 
+def stamp_of_image(cdr: bytes) -> int:
+    """Capture time in nanoseconds of a serialised image of either kind, without looking further."""
+    second, nanosecond = struct.unpack_from("<iI", cdr, 4)
+    return int(second) * 1_000_000_000 + int(nanosecond)
+
+
 def decode_compressed_image(cdr: bytes, place: str) -> StampedPicture:
     """The picture of a serialised `sensor_msgs/CompressedImage`: JPEG, PNG, WebP, ….
 

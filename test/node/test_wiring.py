@@ -1,4 +1,4 @@
-"""Launch file and RViz layout against the nodes that run."""
+"""Launch file against the nodes that run."""
 
 import importlib.util
 import re
@@ -8,21 +8,16 @@ from types import ModuleType
 from typing import Any
 
 import pytest
-import yaml
-from geometry_msgs.msg import PoseArray
 from made_up_camera import MadeUpCamera
-from probe import LOSSLESS, Probe
-from rclpy.expand_topic_name import expand_topic_name
-from std_srvs.srv import Trigger
 
 from geoorbit_ros.fleet.fleet_file import load_fleet
 from geoorbit_ros.fleet.plan import plan_fleet
 from geoorbit_ros.nodes.bag_player import BagPlayerNode
 from geoorbit_ros.nodes.camera import CameraNode
-from geoorbit_ros.nodes.composition import Composition
 from geoorbit_ros.nodes.detector import DetectorNode
 from geoorbit_ros.nodes.homography import HomographyNode
 from geoorbit_ros.nodes.lane_geometry import LaneGeometryNode
+from geoorbit_ros.nodes.overlay import OverlayNode
 from geoorbit_ros.nodes.recorder import RecorderNode
 from geoorbit_ros.nodes.tracker import TrackerNode
 from geoorbit_ros.parameters import load_schema
@@ -36,50 +31,11 @@ NODES = {
         DetectorNode,
         HomographyNode,
         LaneGeometryNode,
+        OverlayNode,
         RecorderNode,
         TrackerNode,
     )
 }
-RVIZ_TYPES = {
-    "rviz_default_plugins/Path": "nav_msgs/msg/Path",
-    "rviz_default_plugins/PoseArray": "geometry_msgs/msg/PoseArray",
-    "rviz_default_plugins/MarkerArray": "visualization_msgs/msg/MarkerArray",
-}
-LATCHED_IN_RVIZ = ("Reliable", "Transient Local")
-
-
-def rviz_displays() -> list[dict[str, Any]]:
-    content = yaml.safe_load((ROOT / "params" / "geoorbit.rviz").read_text())
-    displays: list[dict[str, Any]] = content["Visualization Manager"]["Displays"]
-    return [display for display in displays if "Topic" in display]
-
-
-def test_every_display_finds_its_topic_with_its_type_and_quality_of_service(
-    nodes: Composition, camera: MadeUpCamera
-) -> None:
-    lanes = nodes.make(LaneGeometryNode, "north", LOSSLESS)
-    calibration = {"calibration_file": str(camera.calibration)}
-    homography = nodes.make(HomographyNode, "north", LOSSLESS | calibration)
-    probe = Probe(nodes)
-    poses = probe.listen("lanes", PoseArray)
-    probe.until(lambda: homography.tracks.get_subscription_count() == 1, "the nodes")
-    send = probe.table_publisher("tracks_px")
-    for k, stamp_ns in enumerate(camera.frames.stamp_ns):
-        send(int(stamp_ns), camera.frames.frame(k))
-    probe.until(lambda: lanes.frames == len(camera.frames), "all frames")
-    probe.call("lane_geometry/update", Trigger, Trigger.Request())
-    probe.until(lambda: bool(poses) and bool(poses[-1].poses), "lanes")
-
-    displays = rviz_displays()
-    assert {display["Class"] for display in displays} == set(RVIZ_TYPES)
-    for display in displays:
-        topic = expand_topic_name(display["Topic"]["Value"], "rviz", "/north")
-        ends = probe.node.get_publishers_info_by_topic(topic)
-        assert [end.topic_type for end in ends] == [RVIZ_TYPES[display["Class"]]], topic
-        offered = ends[0].qos_profile
-        asked = display["Topic"]["Reliability Policy"], display["Topic"]["Durability Policy"]
-        latched = offered.durability.name == "TRANSIENT_LOCAL"
-        assert (asked == LATCHED_IN_RVIZ) == latched, topic
 
 
 class Recorded:

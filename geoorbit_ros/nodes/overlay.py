@@ -1,0 +1,137 @@
+"""Node `overlay`: the camera's images with boxes, trails and lanes drawn into them, for people."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from rclpy.clock import Clock, ClockType
+from rclpy.subscription import Subscription
+from sensor_msgs.msg import CompressedImage, PointCloud2
+from std_msgs.msg import String
+
+from geoorbit_ros.calibration.control_points import read_control_points
+from geoorbit_ros.calibration.homography import fit_homography
+from geoorbit_ros.conversions import decode_string, decode_table, encode_compressed_image
+from geoorbit_ros.core.errors import GeoOrbitError
+from geoorbit_ros.core.lanes import LaneMap
+from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE, TRACK_DTYPE
+from geoorbit_ros.lanes.geojson import parse_lane_file
+from geoorbit_ros.nodes.base import GeoOrbitNode
+from geoorbit_ros.nodes.image_sender import FORMAT
+from geoorbit_ros.nodes.latched import LATCHED
+from geoorbit_ros.nodes.process import run_node
+from geoorbit_ros.nodes.table_stream import stream_qos
+from geoorbit_ros.report.image_overlay import ImageOverlay
+from geoorbit_ros.storage.image_cdr import decode_compressed_image, stamp_of_image
+
+LOOK_S = 0.5
+NO_GROUND = np.empty(0, TRACK_DTYPE)
+
+
+@dataclass(frozen=True, slots=True)
+class OverlayParameters:
+    """See params/overlay.yaml."""
+
+    calibration_file: str
+    jpeg_quality: int
+    waiting_images: int
+    reliability: str
+    queue_depth: int
+
+
+class OverlayNode(GeoOrbitNode[OverlayParameters]):
+    """Publishes `image/annotated/compressed`, and reads and draws only while somebody looks at it.
+
+    Subscribes `image/compressed`, `tracks_px` and `lanes/geojson`. An image is drawn when the
+    tracks of its stamp come.
+
+    Raises:
+        GeoOrbitError: A parameter or the calibration file can't be used.
+    """
+
+    name = "overlay"
+    struct = OverlayParameters
+
+    def setup(self) -> None:
+        """Make the topic, and wait for somebody to look."""
+        p = self.p
+        points = read_control_points(p.calibration_file, None) if p.calibration_file else None
+        self._datum = points.datum if points else None
+        self._overlay = ImageOverlay(fit_homography(points) if points else None)
+        self._qos = stream_qos(p.reliability, p.queue_depth)
+        topic = "image/annotated/compressed"
+        self._shown = self.create_publisher(CompressedImage, topic, self._qos)
+        self._readers: list[Subscription] = []
+        self._images: dict[int, bytes] = {}
+        self._lanes: LaneMap | None = None
+        self.create_timer(LOOK_S, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def diagnostic_values(self) -> Mapping[str, object]:
+        """Whether anybody looks."""
+        return {"viewers": self._shown.get_subscription_count(), "waiting": len(self._images)}
+
+    def _look(self) -> None:
+        """Subscribe when the first viewer comes, unsubscribe when the last one goes."""
+        watched = self._shown.get_subscription_count() > 0
+        if watched and not self._readers:
+            for kind, topic, take, qos in (
+                (CompressedImage, "image/compressed", self._on_image, self._qos),
+                (PointCloud2, "tracks_px", self._on_tracks, self._qos),
+                (String, "lanes/geojson", self._on_lanes, LATCHED),
+            ):
+                self._readers.append(self.create_subscription(kind, topic, take, qos, raw=True))
+        elif not watched:
+            while self._readers:
+                self.destroy_subscription(self._readers.pop())
+            self._images.clear()
+
+    def _on_image(self, cdr: bytes) -> None:
+        self._images[stamp_of_image(cdr)] = cdr
+        while len(self._images) > self.p.waiting_images:
+            del self._images[next(iter(self._images))]
+
+    def _on_lanes(self, cdr: bytes) -> None:
+        try:
+            place = self.resolve_topic_name("lanes/geojson")
+            self._lanes = parse_lane_file(decode_string(cdr, place), place, self._datum).lane_map
+        except GeoOrbitError as error:
+            self.diagnostics.refuse(error)
+
+    def _on_tracks(self, cdr: bytes) -> None:
+        start_s = time.perf_counter()
+        try:
+            place = self.resolve_topic_name("tracks_px")
+            stamp_ns, _, tracks = decode_table(cdr, PIXEL_TRACK_DTYPE, place)
+            if (image_cdr := self._images.pop(stamp_ns, None)) is None:
+                return
+            place = self.resolve_topic_name("image/compressed")
+            _, frame_id, image = decode_compressed_image(image_cdr, place)
+            drawn = self._overlay.draw(
+                image, tracks, NO_GROUND, self._lanes, self._caption(len(tracks))
+            )
+            quality = (cv2.IMWRITE_JPEG_QUALITY, self.p.jpeg_quality)
+            _, jpeg = cv2.imencode(".jpg", drawn, quality)
+            shown = encode_compressed_image(stamp_ns, frame_id, FORMAT, jpeg.tobytes())
+            self.publish_stream(self._shown, shown)
+            self.diagnostics.handled(stamp_ns)
+        except GeoOrbitError as error:
+            self.diagnostics.refuse(error)
+        self.diagnostics.took(time.perf_counter() - start_s)
+
+    def _caption(self, vehicles: int) -> str:
+        lanes = len(self._lanes.confirmed) if self._lanes else 0
+        return f"{self.camera_id}   {vehicles} vehicles   {lanes} lanes"
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node in this process."""
+    return run_node(OverlayNode, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
