@@ -53,6 +53,7 @@ def add(
     from geoorbit_ros.cli.camera_run import CameraRun, WatchedMapper
     from geoorbit_ros.cli.console import console, say, status
     from geoorbit_ros.cli.inputs import CameraInput, EstimatorName, load_calibration
+    from geoorbit_ros.cli.priming import prime_detector
     from geoorbit_ros.cli.process import DEFAULT_FPS, opened_source, shown_images
     from geoorbit_ros.cli.report import describe_method, save_report
     from geoorbit_ros.cli.tables import print_lanes
@@ -77,6 +78,7 @@ def add(
     run, recording = CameraRun(homography, detector, mapper), Recording()
     with opened_source(source, None, duration) as images, atomic_output(out) as folder:
         folder.mkdir()
+        prime_detector(detector, images, duration)
         _, first = next(iter(images))
         cv2.imwrite(str(folder / PICTURE), draw_calibration(first, homography))
         size = (first.shape[1], first.shape[0])

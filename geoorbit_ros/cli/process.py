@@ -126,6 +126,7 @@ def opened_source(source: str, fps: float | None, duration_s: float | None) -> F
     """
     from geoorbit_ros.cli.console import error_console, status
     from geoorbit_ros.scenes.frame_source import SCENES
+    from geoorbit_ros.storage.frames.live import LiveFrames
     from geoorbit_ros.storage.frames.open_source import open_frame_source
     from geoorbit_ros.storage.frames.source import SourceOptions
 
@@ -134,7 +135,7 @@ def opened_source(source: str, fps: float | None, duration_s: float | None) -> F
         images = open_frame_source(source, options, SCENES)
     if images.live and duration_s is None:
         raise ParameterError("option --duration", "none for a stream", "how many seconds to take")
-    return images
+    return LiveFrames(images) if images.live else images
 
 
 def shown_images(images: FrameSource, duration_s: float | None) -> Iterator[StampedImage]:

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Event
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from mjpeg_server import MjpegServer
 
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.cli.main import main
@@ -105,3 +110,36 @@ def test_a_camera_is_checked_and_added_to_a_fleet(processed: Processed, tmp_path
     }
     again = [*words[:-3], str(tmp_path / "twice"), *words[-2:]]
     assert main(again) == 2, "a camera of this name is there"
+
+
+def test_a_camera_is_added_from_a_stream(processed: Processed, tmp_path: Path) -> None:
+    fleet, out = tmp_path / "road.yaml", tmp_path / "check"
+    calibration = processed.film / "calibration.csv"
+    with MjpegServer(Played(processed.film / "video.mp4")) as server:
+        words = ["camera", "add", server.address, "--calibration", str(calibration)]
+        words += ["--camera-id", "live", "--fleet", str(fleet), "--out", str(out)]
+        assert main([*words, "--duration", "6"]) == 0
+        assert server.opened == 1, "one look at the camera is enough"
+    camera = load_fleet(fleet)[0].cameras[0]
+    assert (camera.source, camera.kind, camera.image_size) == (server.address, "stream", SIZE)
+    stamps = read_track_csv(out / "tracks.csv", SIZE).stamp_ns
+    assert 3.0 < (stamps[-1] - stamps[0]) / 1e9 < 7.0, "the time that passed, not that of the work"
+
+
+class Played(Sequence[np.ndarray]):
+    """The images of a film at the film's pace, as a network camera sends them."""
+
+    def __init__(self, film: Path) -> None:
+        self._film = film
+
+    def __len__(self) -> int:
+        return round(DURATION_S * FPS)
+
+    def __getitem__(self, _: object) -> Any:
+        raise NotImplementedError("in order only")
+
+    def __iter__(self) -> Iterator[np.ndarray]:
+        video, clock, began_s = cv2.VideoCapture(str(self._film)), Event(), time.monotonic()
+        for k in range(len(self)):
+            clock.wait(max(began_s + k / FPS - time.monotonic(), 0.0))
+            yield video.read()[1]

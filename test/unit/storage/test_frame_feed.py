@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from geoorbit_ros.storage.frames.feed import FrameFeed
+from geoorbit_ros.storage.frames.live import LiveFrames
 from geoorbit_ros.storage.frames.pace import Pace, Thinning
 from geoorbit_ros.storage.frames.source import FrameSource, FrameSourceError, StampedImage
 
@@ -199,3 +200,40 @@ def test_thinning_goes_on_after_a_gap_and_after_a_step_back() -> None:
     ]
     assert thinning.keep(0), "the clock was set back"
     assert not thinning.keep(50 * 10**6)
+
+
+def test_live_frames_keep_their_time_of_arrival_while_the_taker_is_busy() -> None:
+    source = Numbered(51, live=True, gate_at=51)
+    frames = iter(LiveFrames(source))
+    first = next(frames)  # and now the taker works on it, while fifty come
+    assert source.at_gate.wait(LIMIT_S)
+    source.gate.set()
+    rest = [stamp_ns // PERIOD_NS for stamp_ns, _ in frames]
+    assert rest[-1] == 51
+    assert len(rest) <= 4, "the newest, not all that came"
+    assert first[0] // PERIOD_NS < rest[0]
+
+
+def test_whoever_iterates_live_frames_again_goes_on() -> None:
+    class Counted(Numbered):
+        opened = 0
+
+        def __iter__(self) -> Iterator[StampedImage]:
+            self.opened += 1
+            return super().__iter__()
+
+    source = Counted(2, live=True)
+    with LiveFrames(source) as live:
+        assert next(iter(live))[0] == PERIOD_NS
+        assert [stamp_ns for stamp_ns, _ in live] == [2 * PERIOD_NS]
+    assert source.opened == 1
+
+
+def test_what_ends_live_frames_is_raised() -> None:
+    class Broken(Numbered):
+        def __iter__(self) -> Iterator[StampedImage]:
+            yield from super().__iter__()
+            raise FrameSourceError("here", "nothing", "something")
+
+    with pytest.raises(FrameSourceError):
+        list(LiveFrames(Broken(1, live=True)))
