@@ -89,6 +89,7 @@ SERVICE_COLUMNS: Mapping[str, tuple[tuple[str, str], ...]] = {
         ("error {} m (95 %)", "error_m_p95"),
         ("in another lane {}", "other_lane_share"),
         ("latency {} ms (99 %)", "latency_ms_p99"),
+        ("{} findings on the map", "map_findings"),
     ),
     "viewer": (("port {}", "port"), ("{} topics offered", "topics"), ("{} looked at", "read")),
 }

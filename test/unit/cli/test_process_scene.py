@@ -127,19 +127,23 @@ def test_a_camera_is_added_from_a_stream(processed: Processed, tmp_path: Path) -
 
 
 class Played(Sequence[np.ndarray]):
-    """The images of a film at the film's pace, as a network camera sends them."""
+    """The images of a film at the film's pace, as a network camera sends them.
+
+    Read before: OpenCV opens one thing at a time in a process, and the stream would wait for itself.
+    """
 
     def __init__(self, film: Path) -> None:
-        self._film = film
+        video = cv2.VideoCapture(str(film))
+        self._images = [video.read()[1] for _ in range(round(DURATION_S * FPS))]
 
     def __len__(self) -> int:
-        return round(DURATION_S * FPS)
+        return len(self._images)
 
-    def __getitem__(self, _: object) -> Any:
-        raise NotImplementedError("in order only")
+    def __getitem__(self, index: Any) -> Any:
+        return self._images[index]
 
     def __iter__(self) -> Iterator[np.ndarray]:
-        video, clock, began_s = cv2.VideoCapture(str(self._film)), Event(), time.monotonic()
-        for k in range(len(self)):
+        clock, began_s = Event(), time.monotonic()
+        for k, image in enumerate(self._images):
             clock.wait(max(began_s + k / FPS - time.monotonic(), 0.0))
-            yield video.read()[1]
+            yield image
