@@ -1,4 +1,4 @@
-"""What a fleet file says: cameras, federated server, twin, recorder, viewer."""
+"""What a fleet file says: cameras, federated server, twin, CARLA, recorder, viewer."""
 
 from __future__ import annotations
 
@@ -122,6 +122,25 @@ class Twin(Service):
         return self
 
 
+class Carla(Service):
+    """The twin's vehicles in a CARLA server, and what the cameras would see there; needs a twin.
+
+    Attributes:
+        opendrive: The road, an OpenDRIVE file of the twin's network.
+        host: Where the server runs.
+        port: Its port.
+    """
+
+    opendrive: Path
+    host: str = "localhost"
+    port: int = Field(default=2000, ge=1, le=65535)
+
+    @model_validator(mode="after")
+    def _known(self) -> Carla:
+        check_parameters(self.parameters, "carla_bridge")
+        return self
+
+
 class Recorder(StrictModel):
     """Trajectories and lanes of every camera, one database each.
 
@@ -151,6 +170,7 @@ class Fleet(StrictModel):
         cameras: At least one.
         federated_server: Where the cameras learn together; none: they don't.
         twin: None: no twin.
+        carla: None: not in CARLA.
         recorder: None: nothing is recorded.
         viewer: None: started by hand with `geoorbit view`.
     """
@@ -161,6 +181,7 @@ class Fleet(StrictModel):
     cameras: list[Camera] = Field(min_length=1, max_length=MAX_CAMERAS)
     federated_server: FederatedServer | None = None
     twin: Twin | None = None
+    carla: Carla | None = None
     recorder: Recorder | None = None
     viewer: Viewer | None = None
 
@@ -172,6 +193,8 @@ class Fleet(StrictModel):
                 key = ("cameras", k, "id")
                 raise WrongValue(key, f"'{camera.id}' again", "another id for each camera")
             first[camera.id] = k
+        if self.carla and self.carla.enabled and not (self.twin and self.twin.enabled):
+            raise WrongValue(("carla",), "no twin beside it", "a twin, whose vehicles CARLA shows")
         return self
 
 

@@ -91,6 +91,7 @@ SERVICE_COLUMNS: Mapping[str, tuple[tuple[str, str], ...]] = {
         ("latency {} ms (99 %)", "latency_ms_p99"),
         ("{} findings on the map", "map_findings"),
     ),
+    "carla_bridge": (("{} vehicles", "vehicles"), ("{} pictures", "pictures")),
     "viewer": (("port {}", "port"), ("{} topics offered", "topics"), ("{} looked at", "read")),
 }
 """What people want to know of a service, as words with the value at `{}`."""

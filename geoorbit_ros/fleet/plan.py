@@ -12,7 +12,7 @@ from geoorbit_ros.fleet.federation_keys import ROSTER, SERVER_KEY, FederationKey
 from geoorbit_ros.fleet.fleet_file import Camera, Fleet, Value
 
 BAG_IMAGE_SIZE = (1920, 1080)
-SERVER, TWIN, VIEWER = "federated_server", "twin", "viewer"
+SERVER, TWIN, CARLA, VIEWER = SERVICES = "federated_server", "twin", "carla", "viewer"
 """Names of the processes that are no camera's; no camera may be called so."""
 
 
@@ -40,7 +40,7 @@ class ProcessPlan:
     """One process: nodes on one executor.
 
     Attributes:
-        name: A camera's id, or one of `SERVER`, `TWIN`, `VIEWER`.
+        name: A camera's id, or one of `SERVICES`.
         nodes: In the order in which they start.
         first: Whether the others wait until it runs.
     """
@@ -101,16 +101,19 @@ def plan_nodes(
             wiring |= {name: str(file) for name, file in files.items()}
         node = NodePlan(SERVER, "", wiring | fleet.federated_server.parameters)
         plans.append(ProcessPlan(SERVER, (node,), first=True))
+    views: dict[str, Value] = {
+        "cameras": " ".join(camera.id for camera in cameras),
+        "calibrations": " ".join(str(calibration_file(c, base, output)) for c in cameras),
+        "image_sizes": " ".join("{}x{}".format(*image_size(camera)) for camera in cameras),
+    }
     if fleet.twin and fleet.twin.enabled:
-        files_of = [str(calibration_file(camera, base, output)) for camera in cameras]
-        wiring = {
-            "network": str(base / fleet.twin.network),
-            "cameras": " ".join(camera.id for camera in cameras),
-            "calibrations": " ".join(files_of),
-            "image_sizes": " ".join("{}x{}".format(*image_size(camera)) for camera in cameras),
-        }
-        bridge = NodePlan("sumo_bridge", "", wiring | fleet.twin.parameters)
-        plans.append(ProcessPlan(TWIN, (bridge,), first=True))
+        wiring = {"network": str(base / fleet.twin.network)} | views | fleet.twin.parameters
+        plans.append(ProcessPlan(TWIN, (NodePlan("sumo_bridge", "", wiring),), first=True))
+    if fleet.carla and fleet.carla.enabled:
+        carla = fleet.carla
+        wiring = {"opendrive": str(base / carla.opendrive), "host": carla.host, "port": carla.port}
+        bridge = NodePlan("carla_bridge", "", wiring | views | carla.parameters)
+        plans.append(ProcessPlan(CARLA, (bridge,)))
     if fleet.viewer and fleet.viewer.enabled:
         where: dict[str, Value] = {"host": fleet.viewer.host, "port": fleet.viewer.port}
         plans.append(ProcessPlan(VIEWER, (NodePlan("viewer", "", where),), first=True))
@@ -214,7 +217,7 @@ def select(plans: Sequence[ProcessPlan], only: Sequence[str]) -> tuple[ProcessPl
 
 def _check_names(fleet: Fleet) -> None:
     for camera in fleet.cameras:
-        if camera.id in (SERVER, TWIN, VIEWER):
+        if camera.id in SERVICES:
             raise FleetPlanError("fleet, camera id", f"'{camera.id}'", "a name that no service has")
 
 
@@ -231,5 +234,7 @@ def _check_files(fleet: Fleet, base: Path) -> None:
         missing += [f"{camera.id}: {base / f}" for f in files if f and not (base / f).exists()]
     if fleet.twin and fleet.twin.enabled and not (base / fleet.twin.network).exists():
         missing.append(f"twin: {base / fleet.twin.network}")
+    if fleet.carla and fleet.carla.enabled and not (base / fleet.carla.opendrive).exists():
+        missing.append(f"carla: {base / fleet.carla.opendrive}")
     if missing:
         raise FleetPlanError("fleet files", f"no {'; no '.join(missing)}", "files that exist")

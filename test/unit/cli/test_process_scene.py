@@ -129,7 +129,7 @@ def test_a_camera_is_added_from_a_stream(processed: Processed, tmp_path: Path) -
 class Played(Sequence[np.ndarray]):
     """The images of a film at the film's pace, as a network camera sends them.
 
-    Read before: OpenCV opens one thing at a time in a process, and the stream would wait for itself.
+    Read before: OpenCV opens one thing at a time in a process; the stream would wait for itself.
     """
 
     def __init__(self, film: Path) -> None:

@@ -57,6 +57,18 @@ def test_a_fleet_is_read_with_its_defaults(tmp_path: Path) -> None:
 
 # What is replaced by what, the place that the sentence names, and a word of what it allows.
 WRONG = [
+    (
+        "twin: {network: roads.net.xml}",
+        "carla: {opendrive: roads.xodr}",
+        "key 'carla'",
+        "a twin, whose vehicles",
+    ),
+    (
+        "viewer: {port: 8765}",
+        "carla: {opendrive: roads.xodr, port: 0}",
+        "key 'carla.port'",
+        "1",
+    ),
     ("name: crossing", "name: 4way", "line 1, key 'name'", "a letter first"),
     ("name: crossing\n", "", "line 1, key 'name'", "expected"),
     ("domain_id: 7", "domain_id: 233", "line 2, key 'domain_id'", "232"),
@@ -140,6 +152,17 @@ def test_each_camera_is_one_process_and_services_start_first(tmp_path: Path) -> 
     assert north["lane_geometry"].parameters["update_period_s"] == 2
     assert north["homography"].parameters["datum_latitude_deg"] == 43.0
     assert south["camera"].parameters["source"] == "rtsp://camera.example/south"
+
+
+def test_carla_shows_the_twin_to_the_same_cameras(tmp_path: Path) -> None:
+    text = GOOD + "carla: {opendrive: roads.xodr, host: render.example}\n"
+    fleet, _ = load_fleet(write(tmp_path, text))
+    plans = {plan.name: plan for plan in plan_nodes(fleet, tmp_path, tmp_path)}
+    twin, carla = (plans[name].nodes[0].parameters for name in ("twin", "carla"))
+    for key in ("cameras", "calibrations", "image_sizes"):
+        assert carla[key] == twin[key]
+    assert carla["opendrive"] == str(tmp_path / "roads.xodr")
+    assert (carla["host"], carla["port"]) == ("render.example", 2000)
 
 
 def test_readers_start_before_writers(tmp_path: Path) -> None:
