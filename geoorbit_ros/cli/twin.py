@@ -49,11 +49,15 @@ def replay(
             help="Learn the lanes first, and lay the tracks on the map where they don't fit it.",
         ),
     ] = True,
+    video: Annotated[
+        Path | None,
+        typer.Option("--video", help="The first bag's film, for the picture side by side."),
+    ] = None,
 ) -> None:
     """Let the recorded vehicles drive through a SUMO network, and say how well it followed.
 
-    Into the folder go score.json, vehicles.csv (every vehicle of the twin in every step) and
-    twin.png.
+    Into the folder go score.json, vehicles.csv (every vehicle of the twin in every step), twin.png
+    and, for every camera, what it saw beside what the twin shows: side_by_side_CAMERA.png.
 
     Example: [bold]geoorbit twin replay north_bag --net area/network.net.xml
     --calibration north.csv --out twin[/bold]
@@ -61,6 +65,9 @@ def replay(
     import json
 
     from geoorbit_ros.cli.console import console, say
+    from geoorbit_ros.cli.inputs import parse_image_size
+    from geoorbit_ros.cli.twin_side_by_side import BusiestStep, save_side_by_side
+    from geoorbit_ros.core.errors import GeoOrbitError
     from geoorbit_ros.storage.atomic import atomic_output
     from geoorbit_ros.twin.network import load_network
     from geoorbit_ros.twin.picture import WayKeeper, save_picture
@@ -77,13 +84,14 @@ def replay(
             streams, said = align_streams(streams, network)
         simulation = SumoSimulation(net, step_s)
         folder.mkdir()
-        ways = WayKeeper()
+        ways, busiest = WayKeeper(), BusiestStep()
         try:
             with StateWriter(folder / "vehicles.csv", network) as states:
 
                 def take(step: TwinStep) -> None:
                     states.write(step)
                     ways.add(step.xy, step.lane)
+                    busiest.add(step)
 
                 score = replay_tracks(network, simulation, streams, take, step_s)
         finally:
@@ -94,6 +102,18 @@ def replay(
         (folder / "score.json").write_text(text + "\n", encoding="utf-8")
         title = f"{score.vehicles} vehicles in {score.health.steps * step_s:.0f} s on {net.name}"
         save_picture(folder / "twin.png", network, ways, title)
+        size = parse_image_size(image_size)
+        for stream, bag, points in zip(streams, bags, calibration, strict=True):
+            film = video if stream is streams[0] else None
+            if busiest.step is None:
+                break
+            try:
+                shown = save_side_by_side(
+                    folder, network, busiest.step, stream, bag, points, size, film
+                )
+            except GeoOrbitError as error:
+                shown = f"No picture side by side: {error}"
+            said.append(shown)
     _print_score(score)
     for sentence in said:
         say(sentence)

@@ -22,6 +22,7 @@ from geoorbit_ros.nodes.latched import LATCHED
 from geoorbit_ros.nodes.map_validator import MapValidator
 from geoorbit_ros.nodes.process import run_node
 from geoorbit_ros.nodes.reference_publisher import ReferencePublisher
+from geoorbit_ros.nodes.side_by_side import SideBySide
 from geoorbit_ros.nodes.sumo_bridge_parameters import SumoBridgeParameters
 from geoorbit_ros.nodes.table_stream import TableStream, stream_qos
 from geoorbit_ros.nodes.twin_publisher import TwinPublisher
@@ -69,6 +70,10 @@ class SumoBridgeNode(GeoOrbitNode[SumoBridgeParameters]):
         align, period_s = self.runner.set_alignment if p.align else None, p.map_check_period_s
         self.map = MapValidator(self, network, cameras, p.frame_id, period_s, align)
         self.known = self.map.datums
+        aligned = self.map.watch.alignments if p.align else {}
+        self.pictures = SideBySide(
+            self, p.network, network.datum, views, p.side_by_side_period_s, aligned
+        )
         for camera in cameras:
             datum_topic = self.resolve_topic_name(f"{camera}/datum")
             on_datum, on_frame = (
@@ -91,6 +96,7 @@ class SumoBridgeNode(GeoOrbitNode[SumoBridgeParameters]):
         """End the simulation."""
         if hasattr(self, "map"):
             self.map.close()
+            self.pictures.close()
             self.forecaster.close()
             self.runner.close()
 
@@ -108,6 +114,7 @@ class SumoBridgeNode(GeoOrbitNode[SumoBridgeParameters]):
     def _on_step(self, step: TwinStep) -> None:
         self.twin.publish(step)
         self.forecaster.traffic.add(step)
+        self.pictures.add(step)
 
     def _on_frame(self, camera: str, place: str, stamp_ns: int, rows: NDArray[np.void]) -> None:
         self.twin.arrived_s = time.perf_counter()

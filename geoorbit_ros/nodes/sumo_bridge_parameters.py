@@ -32,3 +32,4 @@ class SumoBridgeParameters:
     forecast_minutes: float
     forecast_window_s: float
     forecast_limit_s: float
+    side_by_side_period_s: float

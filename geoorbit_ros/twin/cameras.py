@@ -12,6 +12,7 @@ from geoorbit_ros.calibration.camera_pose import recover_pose
 from geoorbit_ros.calibration.control_points import read_control_points
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.calibration.homography import fit_homography
+from geoorbit_ros.calibration.plane import Homography
 from geoorbit_ros.core.errors import InputFileError, ParameterError
 from geoorbit_ros.twin.carla_frame import CarlaCamera, camera_pose
 from geoorbit_ros.twin.view import view_polygon
@@ -19,15 +20,19 @@ from geoorbit_ros.twin.view import view_polygon
 
 @dataclass(frozen=True, slots=True)
 class CameraView:
-    """The ground that a camera sees.
+    """The ground that a camera sees, and how.
 
     Attributes:
         datum: Origin of the polygon's frame: the middle of the control points.
         polygon_m: (V, 2) corners.
+        homography: Image to that frame.
+        image_size: Width and height in pixels.
     """
 
     datum: Datum
     polygon_m: NDArray[np.float64]
+    homography: Homography
+    image_size: tuple[int, int]
 
     def polygon_in(self, datum: Datum) -> NDArray[np.float64]:
         """The corners in the map frame of another datum: that of the camera's tracks."""
@@ -69,7 +74,9 @@ def read_views(
         points = read_control_points(file, None)
         if points.datum is None:
             raise InputFileError(file, "control points in metres", "latitudes and longitudes")
-        views[name] = CameraView(points.datum, view_polygon(fit_homography(points), size))
+        homography = fit_homography(points)
+        polygon = view_polygon(homography, size)
+        views[name] = CameraView(points.datum, polygon, homography, size)
     return views
 
 

@@ -5,6 +5,7 @@ import signal
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
@@ -12,7 +13,7 @@ from geometry_msgs.msg import PoseArray
 from made_twin import DATUM, START_NS, STEP_NS, made_network, rows
 from nav_msgs.msg import Path as PathMessage
 from probe import KEEP_ALL, LOSSLESS, Probe
-from sensor_msgs.msg import NavSatFix
+from sensor_msgs.msg import CompressedImage, NavSatFix
 
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.conversions import datum_to_fix
@@ -21,9 +22,12 @@ from geoorbit_ros.core.tables import TRACK_DTYPE
 from geoorbit_ros.nodes.composition import Composition
 from geoorbit_ros.nodes.latched import LATCHED
 from geoorbit_ros.nodes.sumo_bridge import SumoBridgeNode
+from geoorbit_ros.nodes.table_stream import stream_qos
+from geoorbit_ros.scenes.camera import look_at
 from geoorbit_ros.twin.simulation import SumoSimulation
 
 LANE_Y = -5.25
+BEST_EFFORT = stream_qos("best_effort", 1)
 
 
 @pytest.fixture(scope="module")
@@ -152,3 +156,35 @@ def test_a_bridge_that_can_not_work_says_why(
         start(nodes, net, **overrides)
     assert said in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_camera_and_twin_side_by_side(nodes: Composition, net: Path, tmp_path: Path) -> None:
+    """A camera on a pole of 8 m at x = 60 that looks east over the road."""
+    camera = look_at(np.array([60.0, -20.0, 8.0]), np.array([120.0, -5.0, 0.0]), 60.0, (1280, 720))
+    ground = np.array([(x, y) for x in (85, 110, 160) for y in (-12, -6, 0, 4)], dtype=float)
+    pixel, _ = camera.project(np.column_stack((ground, np.zeros(len(ground)))))
+    lines = ["pixel_x,pixel_y,latitude,longitude"]
+    for (u, v), (lat, lon) in zip(pixel, DATUM.to_geodetic(ground), strict=True):
+        lines.append(f"{u:.3f},{v:.3f},{lat:.9f},{lon:.9f}")
+    file = tmp_path / "north.csv"
+    file.write_text("\n".join(lines) + "\n")
+    given = {"calibrations": str(file), "image_sizes": "1280x720", "side_by_side_period_s": 0.5}
+    node = start(nodes, net, cameras="north", **given)
+    probe, send = speak(nodes, "north")
+    pictures = probe.listen("twin/side_by_side/compressed", CompressedImage, BEST_EFFORT)
+    eye = probe.publisher("image/compressed", CompressedImage, BEST_EFFORT)
+    grey = cv2.imencode(".jpg", np.full((720, 1280, 3), 200, np.uint8))[1].tobytes()
+    probe.until(lambda: len(node.known) == 1, "the datum")
+    eye.publish(CompressedImage(format="jpeg", data=grey))
+    publisher = node.pictures._publishers["north"]
+    probe.until(lambda: publisher.get_subscription_count() == 1, "a listener")
+    probe.until(lambda: "north" in node.pictures._image, "the image")
+    for k in range(10):
+        send(START_NS + k * STEP_NS, rows([(1, 110.0 + 2.0 * k, LANE_Y)]))
+    probe.until(lambda: len(pictures) >= 1, "a picture")
+    image = cv2.imdecode(np.frombuffer(bytes(pictures[0].data), np.uint8), cv2.IMREAD_COLOR)
+    assert image is not None
+    assert image.shape == (360, 3 * 640, 3)
+    assert np.abs(image[300, 100].astype(int) - 200).max() < 6  # the camera's own, grey
+    assert np.ptp(image[:, 640:1280].reshape(-1, 3), axis=0).min() > 100  # the twin's, a road
+    assert pictures[0].header.frame_id == "north_optical"
