@@ -18,6 +18,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from geoorbit_ros.core.errors import ParameterError
+from geoorbit_ros.core.own_class import FORM, is_own_class
 from geoorbit_ros.core.resources import share_path
 
 _TYPES: dict[str, type] = {"bool": bool, "int": int, "double": float, "string": str}
@@ -41,6 +42,7 @@ class ParameterSpec:
         above: The value must be greater than this.
         choices: The only values accepted.
         not_empty: Whether an empty string is refused.
+        own_class: Whether `FILE.py:CLASS` is accepted besides the choices.
     """
 
     name: str
@@ -52,12 +54,14 @@ class ParameterSpec:
     above: float | None = None
     choices: tuple[Value, ...] = ()
     not_empty: bool = False
+    own_class: bool = False
 
     @property
     def expected(self) -> str:
         """What a value must be, as words."""
         if self.choices:
-            return " or ".join(str(choice) for choice in self.choices)
+            names = [str(choice) for choice in self.choices]
+            return " or ".join([*names, FORM] if self.own_class else names)
         words = _WORDS[self.kind]
         if self.bounds:
             words += f" from {self.bounds[0]:g} to {self.bounds[1]:g}"
@@ -85,9 +89,12 @@ class ParameterSpec:
         return (
             (self.bounds is None or self.bounds[0] <= value <= self.bounds[1])
             and (self.above is None or value > self.above)
-            and (not self.choices or value in self.choices)
+            and (not self.choices or value in self.choices or self._is_own(value))
             and not (self.not_empty and value == "")
         )
+
+    def _is_own(self, value: Any) -> bool:
+        return self.own_class and is_own_class(value)
 
 
 @lru_cache
@@ -110,7 +117,7 @@ def _spec(name: str, entry: dict[str, Any], place: str) -> ParameterSpec:
     if rest.get("type") not in _TYPES:
         raise ParameterError(where, f"type {rest.get('type')}", " or ".join(_TYPES))
     unknown = (set(rest) - {"type", "default_value", "description", "read_only"}) | (
-        set(rules) - {"bounds", "gt", "one_of", "not_empty"}
+        set(rules) - {"bounds", "gt", "one_of", "not_empty", "own_class"}
     )
     if unknown or "default_value" not in rest or not rest.get("description"):
         found = f"keys {', '.join(sorted({*rest, *rules}))}"
@@ -123,6 +130,7 @@ def _spec(name: str, entry: dict[str, Any], place: str) -> ParameterSpec:
         read_only=bool(rest.get("read_only", False)),
         bounds=tuple(rules["bounds"]) if "bounds" in rules else None,
         above=rules["gt"][0] if "gt" in rules else None,
+        own_class="own_class" in rules,
         choices=tuple(rules["one_of"][0]) if "one_of" in rules else (),
         not_empty="not_empty" in rules,
     )

@@ -48,9 +48,11 @@ CameraIdOption = Annotated[
     str | None, typer.Option("--camera-id", help="Which camera, for a bag that holds several.")
 ]
 EstimatorOption = Annotated[
-    EstimatorName,
+    str,
     typer.Option(
-        "--estimator", metavar="NAME", help="curvilinear for use, geolane for the paper's baseline."
+        "--estimator",
+        metavar="NAME",
+        help="curvilinear for use, geolane for the paper's baseline, FILE.py:CLASS for your own.",
     ),
 ]
 ImageSizeOption = Annotated[
@@ -181,13 +183,13 @@ def load_calibration(calibration: Path, datum: str | None) -> tuple[Homography, 
     return fit_homography(points), points.datum
 
 
-def make_mapper(estimator: EstimatorName, update_period_s: float) -> LaneMapper:
+def make_mapper(estimator: str, update_period_s: float) -> LaneMapper:
     """A fresh mapper with the default detection parameters."""
     from geoorbit_ros.lanes.factory import make_estimator
     from geoorbit_ros.lanes.mapper import LaneMapper
     from geoorbit_ros.lanes.parameters import LaneParameters
 
-    return LaneMapper(make_estimator(estimator.value), LaneParameters(), update_period_s)
+    return LaneMapper(make_estimator(estimator), LaneParameters(), update_period_s)
 
 
 def parse_names(text: str) -> tuple[str, ...]:

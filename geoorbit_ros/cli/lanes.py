@@ -28,7 +28,7 @@ def lanes(
     tracks: TracksOption = None,
     bag: BagOption = None,
     camera_id: CameraIdOption = None,
-    estimator: EstimatorOption = EstimatorName.CURVILINEAR,
+    estimator: EstimatorOption = EstimatorName.CURVILINEAR.value,
     image_size: ImageSizeOption = "1920x1080",
     datum: DatumOption = None,
     update_period_s: UpdatePeriodOption = 5.0,
@@ -59,13 +59,11 @@ def lanes(
             make_mapper(estimator, update_period_s),
             str(camera.source),
         )
-        write_lanes(
-            path, lane_map, camera.datum, camera_id=camera.camera_id, estimator=estimator.value
-        )
+        write_lanes(path, lane_map, camera.datum, camera_id=camera.camera_id, estimator=estimator)
     if report:
         from geoorbit_ros.cli.report import describe_method, save_report
 
-        method = describe_method(estimator.value, update_period_s)
+        method = describe_method(estimator, update_period_s)
         save_report(report, camera, lane_map, recording, method)
     print_lanes(lane_map, f"Lanes of {camera.camera_id}")
     console.print(f" Wrote {out}" + (f" and {report}" if report else ""), soft_wrap=True)

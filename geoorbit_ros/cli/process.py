@@ -56,7 +56,7 @@ def process(
     camera_id: Annotated[
         str | None, typer.Option("--camera-id", help="Name of the camera in the files.")
     ] = None,
-    estimator: EstimatorOption = EstimatorName.CURVILINEAR,
+    estimator: EstimatorOption = EstimatorName.CURVILINEAR.value,
     datum: DatumOption = None,
     update_period_s: UpdatePeriodOption = 5.0,
 ) -> None:
@@ -87,7 +87,7 @@ def process(
     homography, origin = load_calibration(calibration, datum)
     with status("loading"):
         detector = make_detector(model, min_score=min_score, class_names=parse_names(class_names))
-    mapper = WatchedMapper(make_estimator(estimator.value), update_period_s=update_period_s)
+    mapper = WatchedMapper(make_estimator(estimator), update_period_s=update_period_s)
     run, recording = CameraRun(homography, detector, mapper), Recording()
     name = camera_id or _name(source)
     with opened_source(source, fps, duration) as images, atomic_output(out) as folder:
@@ -103,11 +103,11 @@ def process(
         write_mot(folder / TRACKS, ((k, t) for k, (_, _, t) in enumerate(run.seen, 1)))
         frames = run.track_frames()
         write_track_csv(folder / TRACKS_CSV, frames)
-        write_lanes(folder / LANES, lane_map, origin, camera_id=name, estimator=estimator.value)
+        write_lanes(folder / LANES, lane_map, origin, camera_id=name, estimator=estimator)
         camera = CameraInput(
             name, folder / TRACKS_CSV, calibration, frames, homography, origin, run.image_size
         )
-        method = f"{detector.name}; {describe_method(estimator.value, update_period_s)}"
+        method = f"{detector.name}; {describe_method(estimator, update_period_s)}"
         save_report(folder / REPORT, camera, lane_map, recording, method)
     print_lanes(lane_map, f"Lanes of {name}")
     console.print(f" {len(run.seen)} images; wrote {out}", soft_wrap=True)

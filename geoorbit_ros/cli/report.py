@@ -41,7 +41,7 @@ def report(
         Path | None, typer.Option("--truth", help="True lanes, to draw and to score against.")
     ] = None,
     camera_id: CameraIdOption = None,
-    estimator: EstimatorOption = EstimatorName.CURVILINEAR,
+    estimator: EstimatorOption = EstimatorName.CURVILINEAR.value,
     image_size: ImageSizeOption = "1920x1080",
     datum: DatumOption = None,
     update_period_s: UpdatePeriodOption = 5.0,
@@ -72,7 +72,7 @@ def report(
         method = f"{file.estimator or 'unknown'}, read from {lanes.name}"
     else:
         lane_map = map_lanes(ground, make_mapper(estimator, update_period_s), str(camera.source))
-        method = describe_method(estimator.value, update_period_s)
+        method = describe_method(estimator, update_period_s)
     save_report(out, camera, lane_map, recording, method, true)
     console.print(f"{summary_sentence(lane_map.lanes)} Wrote {out}", soft_wrap=True)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from geoorbit_ros.core.own_class import is_own_class, make_own
 from geoorbit_ros.detection.detector import Detector
 from geoorbit_ros.detection.motion import MotionDetector
 
@@ -21,7 +22,8 @@ def make_detector(
     """A YOLO model where a file is given, else whatever moves.
 
     Args:
-        model: An `.onnx` file; None finds moving vehicles by background subtraction.
+        model: An `.onnx` file, or `FILE.py:CLASS` for a detector of one's own, which gets no
+            settings; None finds moving vehicles by background subtraction.
         min_score: Boxes that score less are dropped.
         max_iou: Of two boxes of one class that overlap more than this, the lesser goes.
         any_class: Whether boxes of different classes suppress each other too.
@@ -31,10 +33,13 @@ def make_detector(
 
     Raises:
         ModelError: A model that can't be used.
-        ParameterError: An execution provider that is not there.
+        ParameterError: An execution provider that is not there, or a file without such a class.
     """
     if model is None:
         return MotionDetector(min_score=min_score)
+    if is_own_class(str(model)):
+        own: Detector = make_own(str(model), "model", ("detect", "prime"))
+        return own
     # onnxruntime takes a quarter of a second to import, which only a model needs.
     from geoorbit_ros.detection.onnx_yolo import OnnxYolo, YoloOptions
 

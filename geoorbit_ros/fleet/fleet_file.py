@@ -48,7 +48,7 @@ class Camera(StrictModel):
         source: A video file, `rtsp://…`, `http://…`, a folder of images, `scene:NAME` for a
             made-up camera, or `bag:FOLDER` for recorded boxes.
         calibration: Control points, a CSV file. A `scene:` camera brings its own.
-        model: ONNX file of a detector; none: moving objects are detected.
+        model: ONNX file of a detector, or `FILE.py:CLASS`; none: moving objects are detected.
         image_size: Width and height in pixels; files and scenes tell it themselves, for a stream it
             must be given, for a bag it is 1920 x 1080 unless given.
         datum: Origin of its map; default: the middle of its control points.

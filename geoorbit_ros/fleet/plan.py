@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from geoorbit_ros.core.errors import GeoOrbitError, InputFileError
+from geoorbit_ros.core.own_class import file_of
 from geoorbit_ros.fleet.federation_keys import ROSTER, SERVER_KEY, FederationKeys
 from geoorbit_ros.fleet.fleet_file import Camera, Fleet, Value
 
@@ -226,7 +227,8 @@ def _check_files(fleet: Fleet, base: Path) -> None:
     for camera in fleet.cameras:
         if not camera.enabled:
             continue
-        files = [camera.calibration, camera.model]
+        model = Path(file_of(str(camera.model))) if camera.model else None
+        files = [camera.calibration, model]
         if camera.kind == "bag":
             files.append(Path(camera.source.partition(":")[2]))
         elif camera.kind == "file":

@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from geoorbit_ros.core.errors import ParameterError
+from geoorbit_ros.core.own_class import FORM, is_own_class, make_own
 from geoorbit_ros.lanes.curvilinear import CurvilinearEstimator
 from geoorbit_ros.lanes.estimator import LaneEstimator
+
+METHODS = ("add", "lanes", "update", "state", "restore")
 
 
 def _geolane() -> LaneEstimator:
@@ -23,11 +26,16 @@ ESTIMATORS: dict[str, Callable[[], LaneEstimator]] = {
 
 
 def make_estimator(name: str) -> LaneEstimator:
-    """A fresh estimator.
+    """A fresh estimator, by its name or as `FILE.py:CLASS`.
 
     Raises:
-        ParameterError: No estimator has this name.
+        ParameterError: No estimator has this name, or the file has no such class.
     """
+    if is_own_class(name):
+        own: LaneEstimator = make_own(name, "parameter 'estimator'", METHODS)
+        return own
     if name not in ESTIMATORS:
-        raise ParameterError("parameter 'estimator'", repr(name), " or ".join(sorted(ESTIMATORS)))
+        raise ParameterError(
+            "parameter 'estimator'", repr(name), " or ".join([*sorted(ESTIMATORS), FORM])
+        )
     return ESTIMATORS[name]()

@@ -77,7 +77,7 @@ def test_overrides_reach_the_struct_and_whole_numbers_become_doubles(nodes: Comp
         ("queue_depth", 1.5, "1.5", "a whole number from 0 to 100000"),
         ("queue_depth", True, "True", "a whole number from 0 to 100000"),
         ("publish_tentative", 1, "1", "true or false"),
-        ("estimator", "magic", "'magic'", "curvilinear or geolane"),
+        ("estimator", "magic", "'magic'", "curvilinear or geolane or FILE.py:CLASS"),
         ("restart_jump_s", 0.0, "0.0", "a number above 0"),
         ("frame_id", "", "''", "text, not empty"),
     ],

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from geoorbit_ros.core.own_class import FORM, is_own_class, make_own
 from geoorbit_ros.federated.errors import FederationError
 from geoorbit_ros.federated.strategies.fedadam import FedAdam
 from geoorbit_ros.federated.strategies.fedavg import FedAvg
@@ -49,11 +50,17 @@ STRATEGIES: dict[str, Callable[[StrategySettings], Strategy]] = {
 
 
 def make_strategy(name: str, settings: StrategySettings | None = None) -> Strategy:
-    """A fresh strategy.
+    """A fresh strategy, by its name or as `FILE.py:CLASS`, which is made without settings.
 
     Raises:
         FederationError: No strategy has this name, or a setting is out of range.
+        ParameterError: The file has no such class.
     """
+    if is_own_class(name):
+        own: Strategy = make_own(
+            name, "parameter 'strategy'", ("weight", "collection", "step", "state", "restore")
+        )
+        return own
     if name not in STRATEGIES:
-        raise FederationError("strategy", repr(name), " or ".join(sorted(STRATEGIES)))
+        raise FederationError("strategy", repr(name), " or ".join([*sorted(STRATEGIES), FORM]))
     return STRATEGIES[name](settings or StrategySettings())

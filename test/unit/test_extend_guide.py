@@ -1,0 +1,89 @@
+"""The guide to detectors, estimators and strategies of one's own: each is one file, and works."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from geoorbit_ros.cli.main import main
+from geoorbit_ros.core.errors import ParameterError
+from geoorbit_ros.core.own_class import make_own
+from geoorbit_ros.core.tables import DETECTION_DTYPE
+from geoorbit_ros.detection.factory import make_detector
+from geoorbit_ros.federated.strategies.factory import make_strategy
+from geoorbit_ros.lanes.factory import make_estimator
+from geoorbit_ros.lanes.geojson import read_lanes
+from geoorbit_ros.parameters import load_schema
+
+ROOT = Path(__file__).parents[2]
+GUIDE = (ROOT / "docs" / "guide-extend.md").read_text(encoding="utf-8")
+DEMO = ROOT / "bags" / "demo"
+
+
+@pytest.fixture
+def written(tmp_path: Path) -> Path:
+    """A folder with the files of the guide."""
+    blocks = re.findall(r"```python\n# (\w+\.py)\n(.*?)```", GUIDE, re.DOTALL)
+    assert [name for name, _ in blocks] == ["red.py", "wide.py", "cautious.py"]
+    for name, text in blocks:
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    return tmp_path
+
+
+def test_the_detector_finds_what_is_red(written: Path) -> None:
+    detector = make_detector(Path(f"{written}/red.py:Red"))
+    image = np.full((100, 200, 3), 90, np.uint8)
+    image[40:60, 100:140] = (0, 0, 220)
+    (box,) = detector.detect(1, image)
+    assert box.dtype == DETECTION_DTYPE
+    found = [float(box[key]) for key in ("x", "y", "width", "height")]
+    assert found == pytest.approx([119.5, 49.5, 40.0, 20.0])
+
+
+def test_the_estimator_runs_from_the_command_line(written: Path) -> None:
+    words = ["lanes", "--bag", str(DEMO / "bag"), "--calibration", str(DEMO / "calibration.csv")]
+    own = ["--estimator", f"{written}/wide.py:Wide", "--out", str(written / "wide.geojson")]
+    assert main([*words, "--out", str(written / "all.geojson")]) == 0
+    assert main([*words, *own]) == 0
+    every, wide = (read_lanes(written / f"{name}.geojson").lanes for name in ("all", "wide"))
+    assert {lane.lane_id for lane in wide} <= {lane.lane_id for lane in every}
+    assert all(lane.width_m > 3.3 for lane in wide)
+
+
+def test_the_strategy_takes_half_a_step(written: Path) -> None:
+    strategy = make_strategy(f"{written}/cautious.py:Cautious")
+    np.testing.assert_array_equal(strategy.step(np.array([2.0, -4.0])), [1.0, -2.0])
+
+
+def test_parameters_of_nodes_take_a_class_where_a_factory_does() -> None:
+    for node, name in (
+        ("lane_geometry", "estimator"),
+        ("meta_client", "estimator"),
+        ("federated_server", "strategy"),
+    ):
+        spec = next(spec for spec in load_schema(node) if spec.name == name)
+        assert spec.checked("mine.py:Mine", node) == "mine.py:Mine"
+        with pytest.raises(ParameterError, match=r"or FILE\.py:CLASS"):
+            spec.checked("mine", node)
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "said"),
+    [
+        ("", "Nothing", "no attribute 'Nothing'"),
+        ("1 / 0", "Mine", "ZeroDivisionError"),
+        ("class Mine:\n    def add(self): ...", "Mine", "no method lanes"),
+        ("class Mine:\n    def __init__(self, x): ...", "Mine", "a class Mine without arguments"),
+    ],
+)
+def test_what_is_wrong_with_a_file_is_one_sentence(
+    tmp_path: Path, text: str, name: str, said: str
+) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text(text)
+    with pytest.raises(ParameterError, match=re.escape(said)) as error:
+        make_own(f"{file}:{name}", "here", ("add", "lanes"))
+    assert "\n" not in str(error.value)
+    with pytest.raises(ParameterError, match=r"no file .*none\.py"):
+        make_estimator(f"{tmp_path}/none.py:Mine")
