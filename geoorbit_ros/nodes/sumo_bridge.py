@@ -69,7 +69,7 @@ class SumoBridgeNode(GeoOrbitNode[SumoBridgeParameters]):
         self.runner.set_scenario(scenario)
         align, period_s = self.runner.set_alignment if p.align else None, p.map_check_period_s
         self.map = MapValidator(self, network, cameras, p.frame_id, period_s, align)
-        self.known = self.map.datums
+        self.known, self.unusable = self.map.datums, dict[str, GeoOrbitError]()
         aligned = self.map.watch.alignments if p.align else {}
         self.pictures = SideBySide(
             self, p.network, network.datum, views, p.side_by_side_period_s, aligned
@@ -102,14 +102,14 @@ class SumoBridgeNode(GeoOrbitNode[SumoBridgeParameters]):
 
     def _on_datum(self, camera: str, place: str, fix: NavSatFix) -> None:
         try:
-            datum = datum_from_fix(fix, place)
-            if datum != self.known.get(camera):
+            datum, before = datum_from_fix(fix, place), self.known.get(camera)
+            self.runner.set_datum(camera, datum)
+            self.known[camera] = datum
+            if datum != before:
                 self._references.refer(camera, datum)
         except GeoOrbitError as error:
+            self.unusable[camera] = error
             self.diagnostics.refuse(error)
-            return
-        self.known[camera] = datum
-        self.runner.set_datum(camera, datum)
 
     def _on_step(self, step: TwinStep) -> None:
         self.twin.publish(step)
@@ -119,7 +119,8 @@ class SumoBridgeNode(GeoOrbitNode[SumoBridgeParameters]):
     def _on_frame(self, camera: str, place: str, stamp_ns: int, rows: NDArray[np.void]) -> None:
         self.twin.arrived_s = time.perf_counter()
         if camera not in self.known:
-            raise MessageError(place, "tracks before it", "where the tracks' map frame lies")
+            early = MessageError(place, "tracks before it", "where the tracks' map frame lies")
+            raise self.unusable.get(camera, early)
         self.runner.add(camera, stamp_ns, rows)
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.core.tables import FLAG_PREDICTED
 from geoorbit_ros.twin.alignment import Alignment
+from geoorbit_ros.twin.errors import RoadNetworkError
 from geoorbit_ros.twin.plane import ConformalMap
 
 OBSERVATION_DTYPE = np.dtype(
@@ -30,6 +31,9 @@ OBSERVATION_DTYPE = np.dtype(
 
 MAX_LAG_S = 0.5
 """A camera that is behind the others by more is not extrapolated."""
+MAX_AWAY_M = 1e5
+"""A camera farther from the network's datum sees none of it: networks are some tens of km wide."""
+MAX_SPEED_MPS, MAX_SIGMA_M = 100.0, 10.0
 _FIT_RANGE_M = 2000.0
 
 
@@ -63,7 +67,16 @@ class CameraTracks:
         self.newest_ns: int | None = None
 
     def set_datum(self, datum: Datum) -> None:
-        """Where the camera's own map frame lies; without it, where the twin's does."""
+        """Where the camera's own map frame lies; without it, where the twin's does.
+
+        Raises:
+            RoadNetworkError: Nowhere near the network.
+        """
+        away_m = float(np.hypot(*self._datum.to_local(datum.latitude_deg, datum.longitude_deg)[0]))
+        if not away_m <= MAX_AWAY_M:
+            far = f"{away_m / 1e3:.0f} km" if np.isfinite(away_m) else "thousands of kilometres"
+            found = f"a datum {far} from the network"
+            raise RoadNetworkError(f"camera '{self.name}'", found, "a camera that sees its roads")
         if datum == self._datum:
             self._plane = None
             return
@@ -72,7 +85,11 @@ class CameraTracks:
         self._plane = ConformalMap(grid, self._datum.to_local(*datum.to_geodetic(grid).T))
 
     def add(self, stamp_ns: int, rows: NDArray[np.void]) -> None:
-        """Take a frame of `TRACK_DTYPE` rows, later than the one before; rows not finite go."""
+        """Take a frame of `TRACK_DTYPE` rows, later than the one before.
+
+        Rows out of this world go; velocities that no vehicle has count as none, errors that are not
+        known as `MAX_SIGMA_M`, headings that are no angle as not known.
+        """
         table = np.empty(len(rows), OBSERVATION_DTYPE)
         table["stamp_ns"] = stamp_ns
         for k, (place, speed) in enumerate((("x", "vx"), ("y", "vy"))):
@@ -80,9 +97,11 @@ class CameraTracks:
         for name in ("track_id", "heading", "length", "width", "sigma", "class_id"):
             table[name] = rows[name]
         table["predicted"] = (rows["flags"] & FLAG_PREDICTED) != 0
-        table = table[np.isfinite(table["xy"]).all(axis=1)]
-        np.nan_to_num(table["velocity"], copy=False)
-        np.nan_to_num(table["sigma"], copy=False, nan=10.0)
+        with np.errstate(invalid="ignore"):  # NaN is beyond every limit
+            table = table[(np.abs(table["xy"]) <= MAX_AWAY_M).all(axis=1)]
+            table["velocity"][~(np.abs(table["velocity"]) <= MAX_SPEED_MPS).all(axis=1)] = 0.0
+            table["sigma"][~(table["sigma"] <= MAX_SIGMA_M)] = MAX_SIGMA_M
+            table["heading"][~(np.abs(table["heading"]) <= 4.0 * np.pi)] = np.nan
         if self._plane is not None:
             turn = self._plane.turn_rad(table["xy"])
             table["xy"] = self._plane.points(table["xy"])

@@ -120,6 +120,8 @@ def _lanes(root: Xml.Element) -> list[LaneRecord]:
             continue  # crossings and walking areas
         for lane in edge.iter("lane"):
             points = [[float(v) for v in p.split(",")[:2]] for p in lane.attrib["shape"].split()]
+            if not np.isfinite(points).all():
+                raise ValueError(f"a shape of lane '{lane.get('id')}' that is not finite")
             if not _carries_vehicles(lane) or len(points) < 2:
                 continue
             found.append(

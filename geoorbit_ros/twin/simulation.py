@@ -334,7 +334,9 @@ class SumoSimulation:
         try:
             libsumo.start(["sumo", *arguments])
         except (*self._fatal, RuntimeError) as error:
-            raise SimulationError("SUMO", first_line(error), "a simulation") from error
+            # libsumo says what is wrong on standard error, and nothing in its exception.
+            found = first_line(error).replace("Process Error", "a network it refuses (see above)")
+            raise SimulationError("SUMO", found, "a simulation") from error
         _running_in_process = True
         self._sumo = libsumo
 
@@ -368,6 +370,11 @@ class _Watch:
             if process.returncode is not None:
                 found = f"its process ended with {exit_words(process.returncode)}"
                 raise SimulationError("SUMO", found, "a running simulation") from error
+            if not isinstance(error, self._simulation._fatal[0]):
+                # The connection failed, the program did not: it did not answer in time.
+                process.kill()
+                process.wait()
+                raise SimulationError("SUMO", "no answer: it hung and was ended", "one") from error
         raise SimulationError("SUMO", first_line(error), "a running simulation") from error
 
 

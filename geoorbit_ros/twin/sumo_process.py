@@ -14,6 +14,8 @@ from geoorbit_ros.twin.errors import SimulationError
 
 START_RETRIES, RETRY_S = 200, 0.1
 CLOSE_TIMEOUT_S = 10.0
+ANSWER_TIMEOUT_S = 10.0
+"""A step of thousands of vehicles takes a second at most."""
 _LEAKED = ("LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")
 """Variables that the ROS wheels set for their own process; no other program may see them."""
 
@@ -82,6 +84,8 @@ def _connect(port: int, process: subprocess.Popen[bytes], log: Path) -> Any:
         try:
             connection = Connection("localhost", port, process, None, False, None)
             connection.getVersion()
+            # A SUMO that hangs must not hang who asks it.
+            connection._socket.settimeout(ANSWER_TIMEOUT_S)
             return connection
         except OSError:
             time.sleep(RETRY_S)
