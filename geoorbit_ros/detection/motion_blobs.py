@@ -31,7 +31,7 @@ sizes are learnt from such."""
 SOUND_LIKENESS = 0.6
 MIN_CAR_PX = 5.0
 """Where cars are less high, several are not told apart."""
-ONE_GAIN = 0.05
+ONE_GAIN = 0.03
 """Several vehicles must be more like a patch than one by this share of its pixels for each more."""
 LEAST_LIKENESS = 0.4
 """Of a vehicle that explains a part of a patch."""

@@ -18,7 +18,7 @@ CAR_PX = 10.0
 """Patches are looked at so small that cars are so high."""
 KINDS = ((1.0, 1.0), (1.05, 1.35), (1.5, 1.9), (2.2, 2.1))
 """Width and height of vehicles that are tried, in cars: cars, vans, lorries seen from two sides."""
-KIND_COST = (0.2, 0.25, 0.45, 0.6)
+KIND_COST = (0.25, 0.3, 0.7, 1.0)
 """Evidence that one more vehicle needs, in cars' areas."""
 EMPTY_COST = 1.0
 """Price of a pixel that a vehicle should cover and doesn't, beside one that none covers."""
@@ -26,6 +26,8 @@ MOST = 6
 """Vehicles in one patch."""
 SIZE_STEP = 0.15
 """Sizes closer than this, as a natural logarithm, are taken for one."""
+ROW_STEP = 3
+"""Sizes are looked up in every so manieth row."""
 ROUNDS = 2
 """So often each vehicle is moved to where it fits best beside the others."""
 NEAR, HIDDEN = 0.35, 0.12
@@ -110,20 +112,20 @@ def _models(
     width, height = size
     x = corner[0] + 0.5 * width / zoom[0]
     shape = shapes.at(x, corner[1] + height / zoom[1])
-    bottoms = range(1, height + 1)
-    cars = [sizes.car((int(x), 0, int(x), int(corner[1] + b / zoom[1]))) for b in bottoms]
+    rows: dict[int, list[tuple[int, tuple[float, float]]]] = {}
+    for bottom in range(ROW_STEP, height + ROW_STEP, ROW_STEP):
+        low = min(bottom, height)
+        car = sizes.car((int(x), 0, int(x), int(corner[1] + low / zoom[1])))
+        rows.setdefault(round(math.log(car[1]) / SIZE_STEP), []).append((low, car))
     models = []
     for (kind_w, kind_h), cost in zip(KINDS, KIND_COST, strict=True):
-        rows: dict[int, list[int]] = {}
-        for bottom, car in zip(bottoms, cars, strict=True):
-            rows.setdefault(round(math.log(car[1]) / SIZE_STEP), []).append(bottom)
-        for at in rows.values():
-            car = cars[at[len(at) // 2] - 1]
+        for alike in rows.values():
+            car = alike[len(alike) // 2][1]
             w, h = round(kind_w * car[0] * zoom[0]), round(kind_h * car[1] * zoom[1])
-            first = max(at[0], h)
-            if 2 <= w <= width + 1 and h >= 2 and first <= at[-1]:
+            first, last = max(alike[0][0] - ROW_STEP + 1, h), alike[-1][0]
+            if 2 <= w <= width + 1 and h >= 2 and first <= last:
                 cover = np.asarray(cv2.resize(shape, (min(w, width), h)), dtype=np.float32)
-                models.append(_Model(cover, first, at[-1] + 1, cost * w * h / kind_w / kind_h))
+                models.append(_Model(cover, first, last + 1, cost * w * h / kind_w / kind_h))
     return models
 
 

@@ -68,7 +68,8 @@ class VehicleSizes:
         self._random = np.random.default_rng(1)
         self._scale = 1.0
         self._span = (0.0, 1.0, 0.0, 1.0)
-        self._local = np.zeros((*CELLS, 2))
+        self._local = np.zeros((*CELLS, 2)).tolist()
+        self._terms: tuple[float, ...] = (0.0,) * 6
 
     def add(self, boxes: NDArray[np.float64]) -> None:
         """Note boxes (N, 4) left, top, right, bottom, each of one whole vehicle."""
@@ -84,20 +85,21 @@ class VehicleSizes:
         return self._at(0.5 * (box[0] + box[2]), float(box[3]))
 
     def _at(self, x: float, bottom: float) -> tuple[float, float]:
+        # Plain numbers: this is asked for hundreds of times in a picture.
         u, v = x / self._scale, bottom / self._scale
-        a, b = self._height.tolist()
+        a, b, p, q, r, s = self._terms
         height = max(a + b * v, MIN_HEIGHT_PX)
-        p, q, r, s = self._shape.tolist()
         shape = math.exp(min(max(p + q * u + r * v + s * u * v, -1.0), 1.6))
         low, high, left, right = self._span
-        i, j = _cell(math.log(height), low, high, CELLS[0]), _cell(u, left, right, CELLS[1])
-        (k, di), (m, dj) = i, j
-        near = self._local[k : k + 2, m : m + 2]
-        off = (
-            (1 - di) * ((1 - dj) * near[0, 0] + dj * near[0, 1])
-            + di * ((1 - dj) * near[1, 0] + dj * near[1, 1])
-        ).tolist()
-        return shape * height * math.exp(off[0]), height * math.exp(off[1])
+        k, down = _cell(math.log(height), low, high, CELLS[0])
+        m, across = _cell(u, left, right, CELLS[1])
+        wide = tall = 0.0
+        for row, row_share in ((k, 1.0 - down), (k + 1, down)):
+            for column, share in ((m, 1.0 - across), (m + 1, across)):
+                more_wide, more_tall = self._local[row][column]
+                wide += row_share * share * more_wide
+                tall += row_share * share * more_tall
+        return shape * height * math.exp(wide), height * math.exp(tall)
 
     def learn(self) -> None:
         """Fit anew to the boxes noted so far."""
@@ -141,7 +143,8 @@ class VehicleSizes:
         np.add.at(count, at, 1.0)
         np.add.at(total, at, np.clip(off, -MAX_BEND, MAX_BEND))
         # Neighbours count too: a cell by itself is noisy.
-        self._local = _blurred(total) / (_blurred(count) + CELL_PRIOR)[..., None]
+        self._local = (_blurred(total) / (_blurred(count) + CELL_PRIOR)[..., None]).tolist()
+        self._terms = (*self._height.tolist(), *self._shape.tolist())
 
     def _place(self, x: NDArray[np.float64], bottom: NDArray[np.float64]) -> NDArray[np.float64]:
         u, v = x / self._scale, bottom / self._scale
