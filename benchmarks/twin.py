@@ -6,6 +6,7 @@ Each backend runs in a process of its own (libsumo holds one simulation per proc
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import subprocess
@@ -106,6 +107,8 @@ def measure(net: Path, backend: str, count: int) -> Cost:
     simulation = SumoSimulation(net, STEP_S, backend=backend_of(backend, gui=False))
     twin = Synchronizer(network, simulation, ["c"], STEP_S, 1.5, lambda _: None)
     took, cpu_s, before_s = list[float](), 0.0, 0.0
+    gc.collect()
+    gc.freeze()  # as the node does (nodes/process.py)
     for k in range(WARM_UP + STEPS[count][backend]):
         rows = traffic.rows(k * STEP_S)
         if k == WARM_UP:

@@ -84,6 +84,8 @@ class LaneMatcher:
 
     def on_road(self, xy: NDArray[np.float64]) -> NDArray[np.bool_]:
         """(M,) whether points (M, 2) are near enough to a lane to enter there."""
+        if not len(xy):
+            return np.zeros(0, dtype=np.bool_)
         return np.asarray((self._index.near(xy, ENTRY_M).lane != NONE).any(axis=1))
 
     def update(
