@@ -115,7 +115,7 @@ def test_an_empty_lane_is_extra_only_beside_enough_traffic(
     few = validate(detected(network, vehicles=3.0), bad)
     assert few.findings == ()
     assert [u.lane_id for u in few.discrepancies.unseen] == ["west_2"]
-    assert "2 more vehicles" in few.discrepancies.unseen[0].sentence
+    assert "; 12 more vehicles" in few.discrepancies.unseen[0].sentence
     many = validate(detected(network, vehicles=20.0), bad)
     assert [(f.kind, f.lane_id) for f in many.findings] == [("extra", "west_2")]
 
