@@ -117,6 +117,26 @@ def test_an_image_that_cant_be_used_is_refused_and_the_rest_goes_on(
     assert not node.done
 
 
+def test_a_video_that_breaks_off_gives_what_it_holds_and_the_node_says_so(
+    nodes: Composition, tmp_path: Path
+) -> None:
+    path, random = tmp_path / "long.avi", np.random.default_rng(1)
+    code = cv2.VideoWriter.fourcc(*"MJPG")
+    writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, code, 2.0, (160, 120))
+    for _ in range(20):
+        writer.write(random.integers(0, 255, (120, 160, 3), dtype=np.uint8))
+    writer.release()
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    probe = Probe(nodes)
+    heard = probe.listen("image/compressed", CompressedImage, KEEP_ALL)
+    node = start(nodes, path, fps=0.0, exit_when_done=False)
+    probe.until(lambda: node.finished and len(heard) > 7, "the first half")
+    status = probe.status_of("/north/camera")
+    assert status["refused"] == "1"
+    assert "long.avi: found a video that breaks off after" in status["last_refusal"]
+    assert not node.done
+
+
 def test_a_stream_is_stamped_on_arrival_and_its_loss_ends_nothing(
     nodes: Composition, monkeypatch: pytest.MonkeyPatch
 ) -> None:
