@@ -47,7 +47,7 @@ class TrackerParameters:
     low_score: float = 0.1
     birth_score: float = 0.42
     confirm_hits: int = 2
-    confirm_score: float = 0.6
+    confirm_score: float = 0.75
     max_gap_s: float = 1.5
     predict_s: float = 0.4
     image_width: int = 0
