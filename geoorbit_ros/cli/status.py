@@ -140,7 +140,7 @@ def _tables(cameras: Sequence[Row], services: Sequence[Row]) -> RenderableType:
     titles = "|".join(f">{column.title}" for column in columns)
     table = make_table("Cameras", f" |camera|>nodes|{titles}")
     for row in cameras:
-        values = [row.values.get(column.key, "–") for column in columns]
+        values = [_short(row.values.get(column.key, "–")) for column in columns]
         table.add_row(_mark(row), row.name, str(row.nodes), *values)
     parts: list[RenderableType] = [table] if cameras else []
     if services:
@@ -152,6 +152,15 @@ def _tables(cameras: Sequence[Row], services: Sequence[Row]) -> RenderableType:
     for row in [*cameras, *services]:
         parts += [Text(f" {row.name}: {problem}", style="red") for problem in row.problems]
     return Group(*parts)
+
+
+def _short(value: str) -> str:
+    """A number with at most one decimal, none from 100 on: a table is read at a glance."""
+    try:
+        number = float(value)
+    except ValueError:
+        return value
+    return f"{number:.0f}" if abs(number) >= 100.0 or number == int(number) else f"{number:.1f}"
 
 
 def _mark(row: Row) -> str:
