@@ -47,7 +47,11 @@ def start_program(
             stderr=subprocess.STDOUT,
         )
     try:
-        return process, _connect(port, process, log)
+        connection = _connect(port, process, log)
+        if not gui:
+            # A SUMO that hangs must not hang who asks it; a window may be paused by its user.
+            connection._socket.settimeout(ANSWER_TIMEOUT_S)
+        return process, connection
     except BaseException:
         process.kill()
         process.wait()
@@ -84,8 +88,6 @@ def _connect(port: int, process: subprocess.Popen[bytes], log: Path) -> Any:
         try:
             connection = Connection("localhost", port, process, None, False, None)
             connection.getVersion()
-            # A SUMO that hangs must not hang who asks it.
-            connection._socket.settimeout(ANSWER_TIMEOUT_S)
             return connection
         except OSError:
             time.sleep(RETRY_S)
