@@ -130,11 +130,12 @@ class Placement:
         table = self._fleet.table
         while self._leaving:
             self._simulation.remove(self._leaving.pop())
-        rows = table[slots]
-        other = rows["kind"] != rows["sim_kind"]
-        other |= np.abs(rows["length"] - rows["sim_length"]) > RESIZE_M
-        for k in np.flatnonzero(other | ~rows["entered"]).tolist():
-            row, slot = rows[k], slots[k]
+        # Field by field: whole rows of all vehicles are a quarter of a megabyte to copy.
+        other = table["kind"][slots] != table["sim_kind"][slots]
+        other |= np.abs(table["length"][slots] - table["sim_length"][slots]) > RESIZE_M
+        for k in np.flatnonzero(other | ~table["entered"][slots]).tolist():
+            slot = slots[k]
+            row = table[slot].copy()
             change = self._simulation.resize if row["entered"] else self._simulation.add
             change(names[k], TYPES[row["kind"]].name, float(row["length"]), float(row["width"]))
             table["entered"][slot] = True
