@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, Protocol
 
 from rclpy.clock import Clock, ClockType
@@ -12,14 +13,12 @@ from std_srvs.srv import Trigger
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.nodes.base import GeoOrbitNode
 from geoorbit_ros.nodes.latched import LATCHED
-from geoorbit_ros.twin.forecast import ForecastRun
-from geoorbit_ros.twin.forecast_files import ForecastStart
+from geoorbit_ros.twin.forecast_job import ForecastJob
 from geoorbit_ros.twin.network import RoadNetwork
 from geoorbit_ros.twin.observed_traffic import ObservedTraffic
 from geoorbit_ros.twin.scenario import Scenario, parse_scenario
 
 POLL_S = 0.2
-SEED = 1
 
 
 class ScenarioParameters(Protocol):
@@ -37,8 +36,8 @@ class ScenarioParameters(Protocol):
 class Forecaster:
     """Service `~/forecast` (std_srvs/Trigger); topics `twin/forecast`, `twin/scenario` (latched).
 
-    A forecast runs in processes of its own. The service answers at once; the result comes on the
-    topic, and so nothing ever waits for it.
+    A forecast is prepared in a thread and runs in processes of its own. The service answers at
+    once; the result comes on the topic, and so nothing ever waits for it.
 
     Args:
         node: Offers the service and publishes.
@@ -54,8 +53,9 @@ class Forecaster:
         self._node, self._network = node, network
         self.traffic = ObservedTraffic(network, window_s)
         self.scenario, self.done = Scenario(), 0
-        self._run: ForecastRun | None = None
-        self._about: dict[str, Any] = {}
+        self._job: ForecastJob | None = None
+        self._worker = ThreadPoolExecutor(1, "forecast")
+        self._work: Future[dict[str, Any]] | None = None
         self._result = node.create_publisher(String, "twin/forecast", LATCHED)
         self._changes = node.create_publisher(String, "twin/scenario", LATCHED)
         node.create_service(Trigger, "~/forecast", self._on_request)
@@ -83,51 +83,36 @@ class Forecaster:
 
     def close(self) -> None:
         """Give up what is running."""
-        if self._run is not None:
-            self._run.close()
-            self._run = None
+        if self._job is not None:
+            self._job.close()
+        self._worker.shutdown(wait=True, cancel_futures=True)
 
     def _on_request(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
+        place, p = self._node.resolve_service_name("~/forecast"), self._node.p
         try:
-            self._about = self._start()
+            if self._work is not None:
+                raise GeoOrbitError(place, "a forecast that is running", "one at a time")
+            horizon_s, limit_s = 60.0 * p.forecast_minutes, p.forecast_limit_s
+            self._job = ForecastJob(
+                self._network, self.traffic, self.scenario, horizon_s, limit_s, place
+            )
         except GeoOrbitError as error:
             answer.success, answer.message = False, str(error)
             return answer
-        answer.success, answer.message = True, json.dumps(self._about)
+        self._work = self._worker.submit(self._job.work)
+        about = {"result": self._result.topic_name, **self._job.about}
+        answer.success, answer.message = True, json.dumps(about)
         return answer
 
-    def _start(self) -> dict[str, Any]:
-        place = self._node.resolve_service_name("~/forecast")
-        if self._run is not None:
-            raise GeoOrbitError(place, "a forecast that is running", "one at a time")
-        demand, last = self.traffic.demand(), self.traffic.last
-        if demand is None or last is None:
-            raise GeoOrbitError(place, "too little traffic to know its flows", "ten seconds of it")
-        p = self._node.p
-        start = ForecastStart(last, demand, 60.0 * p.forecast_minutes, SEED)
-        self._run = ForecastRun(self._network, start, self.scenario, p.forecast_limit_s)
-        return {
-            "result": self._result.topic_name,
-            "begins_s": last.stamp_ns / 1e9,
-            "horizon_s": start.horizon_s,
-            "vehicles": len(last.vehicle_id),
-            "changes": self.scenario.words(),
-            "observed_s": demand.time_s,
-            "observed_flow_per_h": demand.edge_flow_per_h,
-        }
-
     def _poll(self) -> None:
-        if self._run is None:
+        if self._job is None or self._work is None or not self._work.done():
             return
+        work, about = self._work, self._job.about
+        self._work = self._job = None
         try:
-            found = self._run.poll()
+            values = work.result()
+            self.done += 1
         except GeoOrbitError as error:
             self._node.diagnostics.refuse(error)
-            self._result.publish(String(data=json.dumps({**self._about, "error": str(error)})))
-            self.close()
-            return
-        if found is not None:
-            self.done += 1
-            values = {**self._about, "forecasts": [forecast.values() for forecast in found]}
-            self._result.publish(String(data=json.dumps(values, allow_nan=False)))
-            self.close()
+            values = {"error": str(error)}
+        self._result.publish(String(data=json.dumps({**about, **values}, allow_nan=False)))

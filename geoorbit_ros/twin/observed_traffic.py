@@ -84,11 +84,22 @@ class ObservedTraffic:
         while self._samples[0][0] < step.stamp_ns - self._window_ns:
             self._samples.popleft()
 
+    @property
+    def time_s(self) -> float:
+        """How long the window is by now."""
+        return (self._samples[-1][0] - self._samples[0][0]) * 1e-9 if self._samples else 0.0
+
+    def snapshot(self) -> ObservedTraffic:
+        """The same up to now, for another thread."""
+        other = ObservedTraffic(self._network, self._window_ns * 1e-9)
+        other._samples, other.last = deque(self._samples), self.last
+        return other
+
     def demand(self) -> Demand | None:
         """The demand; None when too little was seen to tell."""
         if not self._samples:
             return None
-        time_s = (self._samples[-1][0] - self._samples[0][0]) * 1e-9
+        time_s = self.time_s
         rows = np.concatenate([rows for _, rows in self._samples])
         edge_of, internal = self._network.edge_id, self._network.internal
         rows = rows[~internal[rows["lane"]]]
