@@ -75,9 +75,7 @@ class TwinCamera:
         xy = np.column_stack((rows["x"], rows["y"])).astype(np.float64)
         heading = rows["heading"].astype(np.float64)
         if alignment is not None:
-            cos, sin = np.cos(alignment.turn_rad), np.sin(alignment.turn_rad)
-            back = np.array([[cos, sin], [-sin, cos]])
-            xy = (xy - alignment.shift_m - alignment.centre_m) @ back.T + alignment.centre_m
+            xy = alignment.inverse_points(xy)
             heading = heading - alignment.turn_rad
         if datum != self._datum and len(xy):
             xy = self._datum.to_local(*datum.to_geodetic(xy).T)

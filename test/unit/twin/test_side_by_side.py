@@ -14,6 +14,7 @@ from geoorbit_ros.scenes.roads import place_roads
 from geoorbit_ros.scenes.scene import load_scene
 from geoorbit_ros.scenes.simulate import scene_camera
 from geoorbit_ros.scenes.survey import survey_control_points
+from geoorbit_ros.twin.alignment import Alignment
 from geoorbit_ros.twin.network import RoadNetwork, load_network
 from geoorbit_ros.twin.side_by_side import compare_boxes, side_by_side
 from geoorbit_ros.twin.twin_camera import TwinCamera
@@ -76,6 +77,24 @@ def test_vehicles_are_rendered_where_the_camera_has_them(
         assert np.mean(change > 20) > 0.3
     moved, _ = twin.render(rows, Datum(43.0505, -89.35))  # its frame lies 55 m north
     assert np.abs(moved.astype(int) - image).max() > 50
+
+
+def test_what_the_tracks_were_moved_by_is_undone(
+    made: tuple[TwinCamera, PinholeCamera, RoadNetwork],
+) -> None:
+    twin, camera, network = made
+    rows = in_view(camera, network)
+    _, boxes = twin.render(rows, DATUM)
+    moved = rows.copy()
+    unknown = np.zeros(2)
+    move = Alignment(np.array([5.0, -3.0]), np.array([1.5, 0.7]), 0.02, np.eye(3), unknown, 0.1, 6)
+    xy = move.points(np.column_stack((rows["x"], rows["y"])).astype(float))
+    moved["x"], moved["y"] = xy.T
+    moved["heading"] += 0.02
+    _, back = twin.render(moved, DATUM, move)
+    assert np.nanmax(np.abs(back - boxes)) < 0.1
+    _, away = twin.render(moved, DATUM)
+    assert np.nanmax(np.abs(away - boxes)) > 3.0
 
 
 def test_the_difference_counts_and_measures() -> None:
