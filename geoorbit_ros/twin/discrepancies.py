@@ -162,7 +162,11 @@ def edge_shifts(near: Offsets, edges: Sequence[str]) -> NDArray[np.float64]:
     grid = np.arange(-EDGE_SHIFT_M, EDGE_SHIFT_M + 1e-9, 0.1)
     for name in dict.fromkeys(edges):
         group = np.array([e == name for e in edges])
-        offset = near.offset_m[:, group]
+        offset, along = near.offset_m[:, group], near.along[:, group]
+        # Its own traffic runs one way, that beside it may run the other.
+        there, back = (np.where(along * way > 0.0, offset, np.inf) for way in (1.0, -1.0))
+        inside = [np.count_nonzero(np.abs(o).min(axis=1) <= GATE_M) for o in (there, back)]
+        offset = there if inside[0] >= inside[1] else back
         offset = offset[np.isfinite(offset).any(axis=1)]
         away = np.abs(offset[None] - grid[:, None, None]).min(axis=2, initial=np.inf)
         fit = (1.0 - np.minimum(away / EDGE_FIT_M, 1.0) ** 2).sum(axis=1)
