@@ -1,6 +1,6 @@
 """The twin's speed: libsumo beside the same work through TraCI, and real time beside both.
 
-A made motorway of twice four lanes, 5 km with bends, carries vehicles 40 m apart, seen at 10 Hz.
+A made motorway of twice four lanes, 5 km with bends, carries vehicles 37 m apart, seen at 10 Hz.
 Each backend runs in a process of its own (libsumo holds one simulation per process).
 """
 
@@ -33,7 +33,7 @@ STEP_S = 0.1
 DATUM = Datum(43.0, -89.3)
 STEPS = {1000: {"libsumo": 100, "traci": 20}, 100: {"libsumo": 400, "traci": 100}}
 WARM_UP = 5
-LANES, APART_M = 8, 40.0
+LANES, APART_M = 8, 37.0
 REAL_TIME_FACTOR, LATENCY_S = 5.0, 0.02
 
 
