@@ -121,6 +121,7 @@ class BagPlayerNode(GeoOrbitNode[BagPlayerParameters]):
             if lonely:
                 self.get_logger().warning(f"playing without subscribers on {', '.join(lonely)}")
             self._waiting = False
+            self._begin(self.p)  # once more: stamps of the present begin now
         for message in self._playback.due(time.monotonic(), min(BATCH, self.may_send())):
             self.publish_stream(self.topics[message.topic], message.cdr)
         if self.p.publish_clock:
