@@ -27,14 +27,16 @@ import numpy as np
 
 from geoorbit_ros.calibration.box_projector import BoxProjector
 from geoorbit_ros.calibration.homography import fit_homography
+from geoorbit_ros.core.errors import NoTrafficError
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.lanes.factory import make_estimator
 from geoorbit_ros.lanes.mapper import LaneMapper
 from geoorbit_ros.lanes.pipeline import map_lanes, project_frames
 from geoorbit_ros.metrics.polyline import project, sample
 from geoorbit_ros.scenes.network import write_network
+from geoorbit_ros.scenes.random_scene import RandomSceneError, random_scene
 from geoorbit_ros.scenes.roads import place_roads
-from geoorbit_ros.scenes.scene import load_scene, shipped_scenes
+from geoorbit_ros.scenes.scene import Scene, load_scene, shipped_scenes
 from geoorbit_ros.scenes.simulate import simulate
 from geoorbit_ros.twin.map_errors import SHIFT_M, WIDTH_M, Error, plant
 from geoorbit_ros.twin.network import RoadNetwork, load_network
@@ -48,9 +50,8 @@ MENDED_M, MENDED_WIDTH_M = 0.4, 0.3
 """What the lane estimator promises of a lane at 95 %, and the least width difference reported."""
 
 
-def seen(name: str, seed: int, folder: Path) -> tuple[Sequence[Lane], RoadNetwork]:
+def seen(scene: Scene, seed: int, folder: Path) -> tuple[Sequence[Lane], RoadNetwork]:
     """A scene's lanes as its camera finds them, and its network."""
-    scene = load_scene(name)
     run = simulate(scene, DURATION_S, seed)
     projector = BoxProjector(fit_homography(run.control_points), run.image_size)
     mapper = LaneMapper(make_estimator("curvilinear"))
@@ -110,16 +111,35 @@ def is_inner(network: RoadNetwork, lane: str) -> bool:
     return bool(network.left[k] >= 0 and network.right[k] >= 0)
 
 
+def try_right(
+    name: str, lanes: Sequence[Lane], network: RoadNetwork, counts: Counter[str]
+) -> Validation:
+    """A right map."""
+    clean = validate(lanes, network)
+    counts["right maps"] += 1
+    counts["right maps with findings"] += bool(clean.findings)
+    for finding in clean.findings:
+        print(f"{name}, right map: {finding.sentence}", file=sys.stderr)
+    return clean
+
+
+def try_drawn(seed: int, counts: Counter[str]) -> None:
+    """The right map of a scene drawn at random."""
+    try:
+        scene = random_scene(seed)
+        with tempfile.TemporaryDirectory() as text:
+            lanes, network = seen(scene, seed, Path(text))
+            try_right(f"drawn scene {seed}", lanes, network, counts)
+    except (RandomSceneError, NoTrafficError) as error:
+        print(f"drawn scene {seed}: {error}", file=sys.stderr)
+
+
 def try_scene(name: str, seed: int, counts: Counter[str]) -> None:
     """All errors in all lanes of a scene."""
     with tempfile.TemporaryDirectory() as text:
         folder = Path(text)
-        lanes, network = seen(name, seed, folder)
-        clean = validate(lanes, network)
-        counts["right maps"] += 1
-        counts["right maps with findings"] += bool(clean.findings)
-        for finding in clean.findings:
-            print(f"{name}, seed {seed}, right map: {finding.sentence}", file=sys.stderr)
+        lanes, network = seen(load_scene(name), seed, folder)
+        clean = try_right(f"{name}, seed {seed}", lanes, network, counts)
         judged = [k for k, m in clean.discrepancies.compared.items() if m >= MIN_LENGTH_M]
         for error in get_args(Error):
             for k, lane in enumerate(judged):
@@ -157,14 +177,26 @@ def try_scene(name: str, seed: int, counts: Counter[str]) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, nargs="+", default=[1])
-    parser.add_argument("--scenes", nargs="+", default=shipped_scenes())
+    parser.add_argument("--scenes", nargs="*", default=shipped_scenes())
+    parser.add_argument(
+        "--drawn",
+        type=int,
+        nargs=2,
+        default=[0, 0],
+        metavar=("FIRST", "END"),
+        help="right maps of scenes drawn at random, seeds from FIRST to before END",
+    )
     given = parser.parse_args()
     counts: Counter[str] = Counter()
     for seed in given.seeds:
         for name in given.scenes:
             try_scene(name, seed, counts)
+    for seed in range(*given.drawn):
+        try_drawn(seed, counts)
     for error in get_args(Error):
         planted, found = counts[f"{error} planted"], counts[f"{error} found"]
+        if not planted:
+            continue
         mended = counts[f"{error} mended"]
         print(f"{error}: {planted} planted, {found} found, {mended} mended", file=sys.stderr)
         for what, number in (("missed", planted - found), ("not mended", planted - mended)):

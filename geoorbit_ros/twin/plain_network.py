@@ -84,6 +84,7 @@ class PlainNetwork:
         self._root = {part: parse_xml(self._file(BASE, part), _PLAIN).getroot() for part in _PARTS}
         self._edges = {e.attrib["id"]: e for e in self._root["edg"].findall("edge")}
         self._lanes = _lanes_of(net)
+        self._outlines = _outlines_of(net)
         self.changed: dict[str, EdgeEdit] = {}
 
     def edge(self, edge_id: str) -> EdgeEdit:
@@ -100,6 +101,7 @@ class PlainNetwork:
         """
         self._split_edges()
         self._split_connections()
+        self._keep_junctions()
         files = {
             "node": [self._file(BASE, "nod")],
             "edge": [self._file(BASE, "edg"), self._file(PATCH, "edg")],
@@ -172,6 +174,20 @@ class PlainNetwork:
             if c.get("from") in touched:
                 signals.remove(c)  # its number may be another's now; netconvert counts anew
         self._save(signals, BASE, "tll")
+
+    def _keep_junctions(self) -> None:
+        """Junctions at changed edges keep the outlines they have.
+
+        netconvert would compute them anew: where edges meet at a small angle, some decimetres to
+        the side decide over some tens of metres of junction, which the edges lose.
+        """
+        nodes = copy.deepcopy(self._root["nod"])
+        ends = {self._edges[e].attrib[end] for e in self.changed for end in ("from", "to")}
+        for node in nodes.findall("node"):
+            name = node.attrib["id"]
+            if name in ends and name in self._outlines:
+                node.set("shape", self._outlines[name])
+        self._save(nodes, BASE, "nod")
 
     def _renumbered(self, c: Xml.Element) -> dict[tuple[str, str, str, str], dict[str, str]]:
         """A connection with the new numbers of its lanes; none where a lane is gone."""
@@ -248,6 +264,13 @@ def _lanes_of(net: Path) -> dict[str, list[dict[str, str]]]:
     return found
 
 
+def _outlines_of(net: Path) -> dict[str, str]:
+    """Outlines of the junctions by their ids; a dead end has a line, which is none."""
+    junctions = parse_xml(net).getroot().iter("junction")
+    shapes = {j.attrib["id"]: j.get("shape", "") for j in junctions}
+    return {name: shape for name, shape in shapes.items() if len(shape.split()) >= 3}
+
+
 def _edge_element(element: Xml.Element, edit: EdgeEdit) -> Xml.Element:
     attributes = dict(element.attrib)
     attributes["numLanes"] = str(len(edit.lanes))
@@ -271,16 +294,13 @@ def _edge_element(element: Xml.Element, edit: EdgeEdit) -> Xml.Element:
 def _goes_on(one: LaneEdit, other: LaneEdit) -> bool:
     """Whether a lane leads straight into another."""
     heading = _heading(one.shape_m[::-1]) + np.pi
-    turn = _heading(other.shape_m) - heading
+    turn = (_heading(other.shape_m) - heading + np.pi) % (2 * np.pi) - np.pi
+    chord = heading + 0.5 * turn  # of a bend as much as of a straight road
     gap = other.shape_m[0] - one.shape_m[-1]
-    along = gap[0] * np.cos(heading) + gap[1] * np.sin(heading)
-    across = gap[1] * np.cos(heading) - gap[0] * np.sin(heading)
+    along = gap[0] * np.cos(chord) + gap[1] * np.sin(chord)
+    across = gap[1] * np.cos(chord) - gap[0] * np.sin(chord)
     reach = MEET_SHARE * min(one.width_m, other.width_m)
-    return bool(
-        -5.0 <= along <= MEET_M
-        and abs(across) <= reach
-        and abs((turn + np.pi) % (2 * np.pi) - np.pi) <= MEET_RAD
-    )
+    return bool(-5.0 <= along <= MEET_M and abs(across) <= reach and abs(turn) <= MEET_RAD)
 
 
 def _heading(line: NDArray[np.float64]) -> float:
