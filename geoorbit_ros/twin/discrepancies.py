@@ -44,6 +44,7 @@ SHIFT_M, WIDTH_M = 0.35, 0.25
 SIGMAS = 2.5
 EMPTY_SHARE = 0.7
 """An extra lane is empty over this share of the length over which its edge is seen in use."""
+CELL_M = 4.0
 EXTRA_CONFIDENCE = 0.9
 """With 0.8, lanes with two vehicles a minute were called extra (random scenes)."""
 
@@ -309,7 +310,11 @@ class _Beside:
 def _extra(
     lanes: Sequence[Lane], network: RoadNetwork, number: NDArray[np.int64], partners: Partners
 ) -> tuple[list[Finding], list[Unseen]]:
-    """Lanes of edges in use that carry nothing."""
+    """Lanes of edges in use that carry nothing.
+
+    A lane in which somebody drove over `MIN_LENGTH_M`, be it once, is there, however much of it is
+    empty: beside ramps and before their ends lanes are left early and entered late.
+    """
     found: list[Finding] = []
     unseen: list[Unseen] = []
     normal = [int(k) for k in number if not network.internal[k]]
@@ -325,7 +330,9 @@ def _extra(
             arc = foot.arc_m[foot.inside]
             own = partners.arc_m[partners.lane == k]
             seen_m = _length(arc)
-            if seen_m < MIN_LENGTH_M or _covered(own, arc) > 1.0 - EMPTY_SHARE:
+            used_m = _covered_m(own)
+            is_used = used_m >= MIN_LENGTH_M or used_m > (1.0 - EMPTY_SHARE) * _covered_m(arc)
+            if seen_m < MIN_LENGTH_M or is_used:
                 continue
             others = len(group) - 1
             sure = vehicles / (vehicles + max(others, 1))
@@ -352,10 +359,9 @@ def _stretch(network: RoadNetwork, k: int, arc: NDArray[np.float64]) -> NDArray[
     return np.column_stack([np.interp(at, along, line[:, j]) for j in range(2)])
 
 
-def _covered(own: NDArray[np.float64], seen: NDArray[np.float64]) -> float:
-    """Share of the metres seen at which the lane itself has traffic."""
-    there = np.unique(np.round(own / 4.0))
-    return len(there) / max(len(np.unique(np.round(seen / 4.0))), 1)
+def _covered_m(arc: NDArray[np.float64]) -> float:
+    """Metres along a lane at which there are samples, in cells of `CELL_M`."""
+    return CELL_M * len(np.unique(np.round(arc / CELL_M)))
 
 
 def _length(arc: NDArray[np.float64]) -> float:

@@ -120,6 +120,16 @@ def test_an_empty_lane_is_extra_only_beside_enough_traffic(
     assert [(f.kind, f.lane_id) for f in many.findings] == [("extra", "west_2")]
 
 
+@pytest.mark.parametrize(("used_m", "kinds"), [(8, ["extra"]), (32, [])])
+def test_a_lane_that_is_left_early_is_not_extra(
+    network: RoadNetwork, lanes: list[Lane], used_m: int, kinds: list[str]
+) -> None:
+    line = lanes[4].centerline_m[: used_m // 2]  # west_1, a point every 2 m, of some 200 m
+    left = replace(lane(5, line, vehicles=1.0), status="tentative")
+    found = validate([*lanes[:4], left, *lanes[5:]], network)
+    assert [f.kind for f in found.findings] == kinds
+
+
 def test_a_tentative_lane_shows_use_and_no_more(network: RoadNetwork, lanes: list[Lane]) -> None:
     seen = [replace(each, status="tentative") if each.lane_id == 1 else each for each in lanes]
     seen.append(replace(lane(9, lanes[0].centerline_m - np.array([0.0, 3.6])), status="tentative"))
