@@ -2,8 +2,9 @@
 
 Server and cameras are real nodes, each in a network namespace of its own, on one Ethernet link.
 Every frame at the server's network card is counted: the parameter topics' data, heartbeats and
-acknowledgements with their RTPS, UDP and IP headers; discovery; the rest. The learning is made up
-(updates are random, the worst case for top-k), messages, signatures and rounds are the real ones.
+acknowledgements with their RTPS, UDP and IP headers; discovery; the rest. Two runs: models to each
+camera, and models by multicast (params/dds/multicast.xml). The learning is made up (updates are
+random, the worst case for top-k), messages, signatures and rounds are the real ones.
 
     python benchmarks/federation_wire.py [--rounds 20] [--encoding top_k]
 
@@ -34,6 +35,7 @@ from typing import Any
 
 import numpy as np
 
+from geoorbit_ros.core.resources import share_path
 from geoorbit_ros.federated.keys import Signer
 from geoorbit_ros.federated.layout import ModelLayout
 from geoorbit_ros.federated.ledger import Ledger
@@ -43,6 +45,7 @@ from geoorbit_ros.learning.meta_learner import MetaLearner
 CAMERAS = ("north", "south", "west", "east")
 LIMIT_BYTES = 28_000
 LIMIT_S = 120.0
+PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
 PREFIX = f"gw{os.getpid() % 10_000}"
 ETHERNET_BYTES, UDP_BYTES, RTPS_BYTES = 14, 8, 20
 DATA, DATA_FRAG, HEARTBEAT, ACKNACK, GAP, INFO_DST = 0x15, 0x16, 0x07, 0x06, 0x08, 0x0E
@@ -268,8 +271,19 @@ def link() -> Iterator[dict[str, str]]:
             )
 
 
-def run(hosts: dict[str, str], folder: Path, rounds: int, encoding: str) -> tuple[Bill, float]:
-    """Train once; the bill and the seconds that the rounds took."""
+def run(
+    hosts: dict[str, str], folder: Path, rounds: int, encoding: str, dds: dict[str, str]
+) -> tuple[Bill, float]:
+    """Train once; the bill and the seconds that the rounds took.
+
+    Args:
+        hosts: Network namespaces.
+        folder: For keys, logs and what the card saw; is made.
+        rounds: How many.
+        encoding: Of models and updates.
+        dds: What Fast DDS finds in the cameras' environment.
+    """
+    folder.mkdir()
     public = {}
     for name in ("server", *CAMERAS):
         private = hashlib.sha256(name.encode()).digest()
@@ -279,11 +293,12 @@ def run(hosts: dict[str, str], folder: Path, rounds: int, encoding: str) -> tupl
     roster.write_text("\n".join(f"{name} {public[name]}" for name in CAMERAS))
     running: list[subprocess.Popen[bytes]] = []
 
-    def start(host: str, *words: str) -> subprocess.Popen[bytes]:
+    def start(host: str, *words: str, **variables: str) -> subprocess.Popen[bytes]:
         environment = os.environ | {
             "OMP_NUM_THREADS": "1",
             # Shared memory would connect what no network does: all hosts are one machine here.
             "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+            **variables,
         }
         with (folder / f"{host}.log").open("ab") as log:
             process = subprocess.Popen(
@@ -309,7 +324,7 @@ def run(hosts: dict[str, str], folder: Path, rounds: int, encoding: str) -> tupl
             words += ["-p", f"{key}:={value}"]
         start("server", *words)
         cameras = [
-            start(name, __file__, "--camera", name, str(folder), public["server"], encoding)
+            start(name, __file__, "--camera", name, str(folder), public["server"], encoding, **dds)
             for name in CAMERAS
         ]
         for name, process in zip(CAMERAS, cameras, strict=True):
@@ -329,7 +344,8 @@ def run(hosts: dict[str, str], folder: Path, rounds: int, encoding: str) -> tupl
     return bill_of(capture), sum(record.seconds for record in state.history)
 
 
-def show(bill: Bill, seconds: float) -> None:
+def show(way: str, bill: Bill, seconds: float) -> None:
+    print(f"\nmodels by {way}", file=sys.stderr)
     for name, size in sorted(bill.size.items()):
         count = f"{bill.packets[name]:5d} packets" if name in bill.packets else ""
         print(f"{name:32s} {size / 1e3:8.2f} kB {count}", file=sys.stderr)
@@ -348,31 +364,43 @@ def main() -> None:
     if chosen.camera:
         name, folder, key, encoding = chosen.camera
         sys.exit(camera(name, Path(folder), key, encoding))
-    names = {
-        "messages": "4 cameras x 20 rounds, serialised messages both ways / 28 kB",
-        "data": "the same with RTPS, UDP and IP headers / 28 kB",
-        "all": "the same with heartbeats and acknowledgements / 28 kB",
+    ways = {
+        "unicast": {},
+        "multicast": {PROFILES: str(share_path("params/dds/multicast.xml"))},
     }
+    names = {
+        "messages": "4 cameras x 20 rounds, models by {}: serialised messages / 28 kB",
+        "data": "models by {}: messages with RTPS, UDP and IP headers / 28 kB",
+        "all": "models by {}: the same with heartbeats and acknowledgements / 28 kB",
+    }
+    bills: dict[str, Bill] = {}
     reason = "" if shutil.which("ip") else "no `ip` command: install iproute2"
     try:
         with tempfile.TemporaryDirectory() as place, link() as hosts:
-            bill, seconds = run(hosts, Path(place), chosen.rounds, chosen.encoding)
+            for way, dds in ways.items():
+                folder = Path(place) / way
+                bills[way], seconds = run(hosts, folder, chosen.rounds, chosen.encoding, dds)
+                show(way, bills[way], seconds)
     except OSError as error:
         reason = reason or f"network namespaces are not allowed here ({error})"
-    if reason:
-        for name in names.values():
-            print(json.dumps({"name": name, "skipped": reason}))
-        return
-    show(bill, seconds)
-    found = {
-        "messages": bill.of("updates, payload", "models, payload"),
-        "data": bill.of("updates", "models"),
-        "all": bill.of("updates", "models", "heartbeats", "acknowledgements"),
-    }
-    for key, size in found.items():
-        # The promise is about messages: headers alone are 24 kB, see docs/federation.md.
-        limit = {"limit": 1.0} if key == "messages" else {}
-        print(json.dumps({"name": names[key], "ratio": round(size / LIMIT_BYTES, 4)} | limit))
+    for way in ways:
+        for key, name in names.items():
+            result: dict[str, object] = {"name": name.format(way)}
+            if reason:
+                print(json.dumps(result | {"skipped": reason}))
+                continue
+            size = size_of(bills[way], key)
+            # The promise is about messages: for headers see docs/federation.md.
+            limit = {"limit": 1.0} if key == "messages" else {}
+            print(json.dumps(result | {"ratio": round(size / LIMIT_BYTES, 4)} | limit))
+
+
+def size_of(bill: Bill, key: str) -> int:
+    """Bytes of messages alone, with their headers (`data`), or with all that serves them."""
+    if key == "messages":
+        return bill.of("updates, payload", "models, payload")
+    served = ("heartbeats", "acknowledgements") if key == "all" else ()
+    return bill.of("updates", "models", *served)
 
 
 if __name__ == "__main__":

@@ -1,18 +1,22 @@
-"""A federation of real processes: kill -9 of server and client in mid-round changes nothing."""
+"""A federation of real processes: killed with -9 it learns the same; models by multicast."""
 
 import hashlib
 import os
+import socket
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import pytest
 from camera_host import lesson
 
+from geoorbit_ros.core.resources import share_path
 from geoorbit_ros.federated.client import FederatedClient
 from geoorbit_ros.federated.encodings.factory import make_encoding
 from geoorbit_ros.federated.in_process import run_in_process
@@ -56,7 +60,7 @@ class Processes:
             "OMP_NUM_THREADS": "1",
         }
 
-    def start(self, name: str) -> None:
+    def start(self, name: str, **variables: str) -> None:
         words = [str(self.folder / f"{name}.key")]
         if name == "server":
             words = ["-m", "geoorbit_ros.nodes.federated_server", "--ros-args"]
@@ -74,7 +78,10 @@ class Processes:
             words = [script, name, *words, public, str(self.folder), CONFIG.encoding]
         with (self.folder / f"{name}.log").open("ab") as log:
             self.running[name] = subprocess.Popen(
-                [sys.executable, *words], env=self._environment, stdout=log, stderr=log
+                [sys.executable, *words],
+                env=self._environment | variables,
+                stdout=log,
+                stderr=log,
             )
 
     def kill(self, name: str) -> None:
@@ -189,6 +196,47 @@ def test_kill_9_in_mid_round_changes_no_bit_of_the_final_model(processes: Proces
     assert told[0] == told[1]
     for log in processes.folder.glob("*.log"):
         assert "Traceback" not in log.read_text(), log.name
+
+
+@pytest.fixture
+def group() -> Iterator[socket.socket]:
+    """A bystander in the multicast group of params/dds/multicast.xml."""
+    locator = "{http://www.eprosima.com}"
+    root = ElementTree.parse(share_path("params/dds/multicast.xml"))
+    address, port = (root.findtext(f".//{locator}{name}") for name in ("address", "port"))
+    assert address
+    assert port
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as bystander:
+        bystander.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        bystander.bind((address, int(port)))
+        for interface in ("127.0.0.1", "0.0.0.0"):
+            member = socket.inet_aton(address) + socket.inet_aton(interface)
+            bystander.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
+        bystander.setblocking(False)
+        yield bystander
+
+
+def test_models_go_to_the_multicast_group_of_the_profile(
+    processes: Processes, group: socket.socket
+) -> None:
+    profile = str(share_path("params/dds/multicast.xml"))
+    processes.start("server")
+    for name in CAMERAS:
+        processes.start(name, FASTRTPS_DEFAULT_PROFILES_FILE=profile)
+    for name in CAMERAS:
+        status = processes.running[name].wait(LIMIT_S)
+        assert status == 0, (processes.folder / f"{name}.log").read_text()
+    state = processes.state()
+    assert state is not None
+    assert [record.updates for record in state.history] == [*[len(CAMERAS)] * ROUNDS, 0]
+    for log in processes.folder.glob("*.log"):
+        assert "XMLPARSER" not in log.read_text(), log.read_text()
+    heard = set()
+    with suppress(BlockingIOError):
+        while True:
+            heard.add(group.recv(1 << 16))
+    # One change of the model per round and one after the last; the same packet for both cameras.
+    assert len([packet for packet in heard if b"delta\0" in packet]) >= ROUNDS
 
 
 _PARENT = """
