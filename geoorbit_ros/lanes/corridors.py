@@ -120,8 +120,7 @@ def place_nodes(
 def _corridor(
     passes: Passes, left: NDArray[np.int64], seed: NDArray[np.int64], speed_mps: float
 ) -> Corridor:
-    position = np.searchsorted(left, seed)
-    spine = trace_spine(passes.xy[left], passes.heading[left], position, scale_m(speed_mps))
+    spine = trace_spine(passes.xy, passes.heading, left, seed, scale_m(speed_mps))
     corridor = place_nodes(spine, speed_mps, passes, left)
     return replace(corridor, speed_mps=_median_speed_mps(passes, corridor.node, speed_mps))
 

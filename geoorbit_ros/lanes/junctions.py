@@ -13,12 +13,19 @@ BESIDE_M = 5.5
 PARALLEL = 0.02
 """Typical slope between two ridges that are lanes of one road."""
 
+SPLIT_M = 1.5 * MIN_SPACING_M
+"""Two ridges' spacing where their crests melt into one, at most."""
+LANE_CHANGE = 5 * MIN_STATIONS
+"""Stations, over three seconds of travel, within which vehicles have changed lanes."""
+
 
 def hand_over(ridges: list[Ridge], stations: int) -> list[Ridge]:
     """Where two ridges run together, give what follows to the one that goes straight on.
 
     At a merge the crests of ramp and lane melt into one, and the tracing may leave the common
-    crest to the ramp. Seen against the traffic, the same happens at a diverge.
+    crest to the ramp. Seen against the traffic, the same happens at a diverge. Where one lane
+    becomes two, neither may go straight: it is a coin's toss which of them gets the crest of the
+    one lane, unless it is given to the one that keeps its offset from the road.
 
     Args:
         ridges: Traced crests.
@@ -96,11 +103,13 @@ def _give_tails(ridges: list[Ridge]) -> list[Ridge]:
         for k, going in enumerate(result):
             if i == k or not _goes_on(ending, going):
                 continue
-            found = _junction(ending, going)
+            found, end = _split(ending, going), ending.end
+            left = _apart(ending, going)
             if found is None:
+                found = left = _junction(ending, going)
+            if found is None or left is None:
                 continue
             cut = found - going.first
-            end = ending.end
             share = np.linspace(0.0, 1.0, found - end + 2)[1:-1]
             between = ending.d[-1] + share * (going.d[cut] - ending.d[-1])
             result[i] = Ridge(
@@ -108,7 +117,8 @@ def _give_tails(ridges: list[Ridge]) -> list[Ridge]:
                 np.concatenate([ending.d, between, going.d[cut:]]),
                 np.concatenate([ending.height, np.zeros(len(between)), going.height[cut:]]),
             )
-            result[k] = Ridge(going.first, going.d[:cut], going.height[:cut])
+            left -= going.first
+            result[k] = Ridge(going.first, going.d[:left], going.height[:left])
             break
     return result
 
@@ -125,7 +135,7 @@ def _junction(ending: Ridge, going: Ridge) -> int | None:
     if abs(going.d[end - 1 - going.first] - ending.d[-1]) > MIN_SPACING_M:
         return None
     # The last stations before the crests melt are already drawn to each other.
-    later = np.arange(end, min(going.end, end + 5 * MIN_STATIONS))
+    later = np.arange(end, min(going.end, end + LANE_CHANGE))
     after = going.d[later - going.first]
     own = np.abs(after - _continued(going, going.first, end - MIN_STATIONS, later))
     other = np.abs(after - _continued(ending, ending.first, end - MIN_STATIONS, later))
@@ -133,6 +143,35 @@ def _junction(ending: Ridge, going: Ridge) -> int | None:
     if len(near) == 0 or other[near[0] :].mean() >= own[near[0] :].mean():
         return None
     return int(later[near[0]])
+
+
+def _split(ending: Ridge, going: Ridge) -> int | None:
+    """Station from which on the common crest is the lane of `ending`, if it keeps nearer to it.
+
+    Vehicles on their way across draw out the crest's bend, so that neither ridge leads straight to
+    it. Offsets are compared before the ridges bend and after.
+    """
+    end = ending.end
+    if abs(going.d[end - 1 - going.first] - ending.d[-1]) > SPLIT_M:
+        return None
+    found = min(going.end, end + LANE_CHANGE) - MIN_STATIONS
+    after = float(going.d[found - going.first :][:MIN_STATIONS].mean())
+    shift = [abs(after - _settled(r, max(ending.first, going.first), end)) for r in (ending, going)]
+    return found if shift[0] < min(shift[1], MIN_SPACING_M) else None
+
+
+def _apart(ending: Ridge, going: Ridge) -> int:
+    """Station until which `going` is at least a lane away from `ending`."""
+    first = max(ending.first, going.first)
+    gap = going.d[first - going.first : ending.end - going.first] - ending.d[first - ending.first :]
+    lanes = np.flatnonzero(np.abs(gap) >= MIN_SPACING_M)
+    return first + int(lanes[-1]) + 1 if len(lanes) else first
+
+
+def _settled(ridge: Ridge, first: int, end: int) -> float:
+    """A ridge's offset before its last stations until `end`, which bend."""
+    base = np.arange(max(first, end - LANE_CHANGE), max(first, end - 2 * MIN_STATIONS) + 1)
+    return quantile(ridge.d[base - ridge.first], 0.5)
 
 
 def _continued(ridge: Ridge, first: int, last: int, at: NDArray[np.int64]) -> NDArray[np.float64]:

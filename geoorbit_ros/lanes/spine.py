@@ -132,6 +132,7 @@ def spine_from_headings(
 def trace_spine(
     xy: NDArray[np.float64],
     heading: NDArray[np.float64],
+    stream: NDArray[np.int64],
     seed: NDArray[np.int64],
     scale_m: float,
 ) -> Spine:
@@ -139,18 +140,21 @@ def trace_spine(
 
     Starts from the seed's own path, follows the stream beyond both of its ends, then turns the
     curve until it runs parallel to the median traffic at every place: an average position would
-    wander from lane to lane as vehicles enter and leave, an average direction does not.
+    wander from lane to lane as vehicles enter and leave, an average direction does not. Oncoming
+    traffic counts too: where one lane becomes two, half of the vehicles may be on their way across,
+    and the other carriageway shows which half keeps to the road.
 
     Args:
         xy: (N, 2) nodes of all passes.
         heading: (N,) their directions of travel.
+        stream: Indices of the nodes that the stream may be made of.
         seed: Indices of the seed pass's nodes, in travel order.
         scale_m: Length over which the road's direction is averaged.
     """
     # A direction averaged over a road's scale needs no more nodes than this; every n-th node keeps
     # all passes represented.
-    stride = max(1, len(xy) // TRACE_NODES)
-    some, directions = xy[::stride], heading[::stride]
+    few = stream[:: max(1, len(stream) // TRACE_NODES)]
+    some, directions = xy[few], heading[few]
     unit = np.column_stack([np.cos(directions), np.sin(directions)])
     middle = seed[len(seed) // 2]
     before = _follow(some, unit, xy[seed[0]], heading[seed[0]], -1.0, scale_m)
@@ -158,8 +162,12 @@ def trace_spine(
     path = np.vstack([before[::-1], xy[seed], after])
     profile, anchor = _headings(path, len(before) + len(seed) // 2, scale_m)
     spine = spine_from_headings(xy[middle], anchor, profile)
-    alike = spine.may_run_along(directions, TRACE_ANGLE_RAD)
-    some, directions = some[alike], directions[alike]
+    stride = max(1, len(xy) // TRACE_NODES)
+    some, directions = xy[::stride], heading[::stride]
+    forth = spine.may_run_along(directions, TRACE_ANGLE_RAD)
+    back = spine.may_run_along(directions + np.pi, TRACE_ANGLE_RAD) & ~forth
+    some = np.concatenate([some[forth], some[back]])
+    directions = np.concatenate([directions[forth], directions[back] + np.pi])
     s = None
     for _ in range(ALIGN_ROUNDS):
         s, d = spine.to_road(some, s)

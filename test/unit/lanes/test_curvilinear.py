@@ -170,6 +170,28 @@ def test_ramp_that_merges_is_a_lane_of_its_own_until_it_ends() -> None:
     assert distance_m(ramps[0].centerline_m, ramp(np.linspace(0, 130, 4000))).mean() < 0.3
 
 
+@pytest.mark.parametrize("across", [7, 9, 11])
+def test_lane_that_becomes_two_goes_on_straight(across: int) -> None:
+    """About half of its vehicles change into the new lane at once; oncoming ones show the road."""
+
+    def leaving(s: NDArray[np.float64]) -> NDArray[np.float64]:
+        share = np.clip(s / 80.0, 0.0, 1.0)
+        return np.column_stack([s, -LANE_M * share * share * (3.0 - 2.0 * share)])
+
+    straight_on = straight()(np.linspace(0.0, 120.0, 2000))
+    for seed in range(5):
+        frames = joined(
+            traffic([Stream(straight(), 9)], seed=seed),
+            traffic([Stream(leaving, across)], seed=50 + seed),
+            traffic([Stream(lambda s: straight(0.0, LANE_M)(120.0 - s), 12)], seed=90 + seed),
+        )
+        found = lanes_of(frames).confirmed
+        assert len(found) == 3
+        ahead = [lane for lane in found if distance_m(lane.centerline_m, straight_on).mean() < 0.5]
+        assert len(ahead) == 1
+        assert project(straight_on, ahead[0].centerline_m).inside.mean() > 0.85
+
+
 def test_cutting_frames_into_other_calls_changes_nothing() -> None:
     frames = traffic([Stream(straight(0.5, k * LANE_M), 9) for k in range(2)])
     whole = lanes_of(frames)
