@@ -103,12 +103,11 @@ def _give_tails(ridges: list[Ridge]) -> list[Ridge]:
         for k, going in enumerate(result):
             if i == k or not _goes_on(ending, going):
                 continue
-            found, end = _split(ending, going), ending.end
-            left = _apart(ending, going)
+            end, split = ending.end, _split(ending, going)
+            found = _junction(ending, going) if split is None else split
             if found is None:
-                found = left = _junction(ending, going)
-            if found is None or left is None:
                 continue
+            left = found if split is None else _apart(ending, going)
             cut = found - going.first
             share = np.linspace(0.0, 1.0, found - end + 2)[1:-1]
             between = ending.d[-1] + share * (going.d[cut] - ending.d[-1])
