@@ -6,10 +6,15 @@ lanes on the network's: iteratively reweighted least squares with Tukey's biweig
 "Robust Statistics") on the distances across the lanes, from several starts, because lanes repeat
 every 3.5 m.
 
-Which of the starts is right is decided by counting what would be wrong with the map (Rissanen
-1978, minimum description length): a movement counts as one error (as two beyond half a lane), and
-so does every edge with a lane that lies beside its place, and every lane that the map lacks. So a
-map in which one of two roads is displaced is not aligned to that road.
+A turn is part of it only where it is significant, as a patch carries it on to roads that nobody has
+seen: beyond three times its error (backward elimination, Draper and Smith 1998, "Applied Regression
+Analysis", ch. 15), and by more at the ends of the lanes seen than control points err anyhow. Else
+the shift is fitted without it.
+
+Which of the results is right, or none, is decided by counting what would be wrong with the map
+(Rissanen 1978, minimum description length): a movement counts as one error (as two beyond half a
+lane), and so does every edge with a lane that lies beside its place, and every lane that the map
+lacks. So a map in which one of two roads is displaced is not aligned to that road.
 """
 
 from __future__ import annotations
@@ -39,6 +44,8 @@ SHAPE_M = 0.1
 OBSERVABLE_M = 0.5
 """A direction that is known less well is not observed."""
 SIGNIFICANT_M, SIGNIFICANT_SIGMAS = 0.3, 3.0
+"""A shift, and what a turn does at the ends of the lanes seen: what is less is left to the errors
+of calibration, that is beyond the lanes' own, or to chance."""
 WRONG_M = 0.4
 """A lane this far from its place is an error of the map when movements are compared."""
 LANE_GATE_M = 1.75
@@ -169,13 +176,11 @@ def align(lanes: Sequence[Lane], network: RoadNetwork) -> Alignment:
         raise NoTrafficError("detected lanes", found, "confirmed lanes: more traffic")
     number = lanes_near(network, confirmed)
     problem = _problem(confirmed, network, number)
-    best, best_cost = np.zeros(3), (np.inf, np.inf)
-    for start in _starts(problem):
-        move = _refined(problem, start)
-        cost = _cost(problem, move)
-        if cost < best_cost:
-            best, best_cost = move, cost
-    return _result(problem, best)
+    moves = [np.zeros(3), *(_fitted(problem, start) for start in _starts(problem))]
+    return min(
+        (_result(problem, move) for move in moves),
+        key=lambda result: _cost(problem, result),
+    )
 
 
 def _problem(lanes: Sequence[Lane], network: RoadNetwork, number: NDArray[np.int64]) -> _Problem:
@@ -209,18 +214,28 @@ def _starts(problem: _Problem) -> list[NDArray[np.float64]]:
     return [np.append(start, 0.0) for start in starts]
 
 
-def _refined(problem: _Problem, start: NDArray[np.float64]) -> NDArray[np.float64]:
-    move = start
+def _fitted(problem: _Problem, start: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Shift and turn (3,) from a start, the turn only where it is significant."""
+    move = _refined(problem, start)
+    sigma = float(np.sqrt(_result(problem, move).covariance[2, 2]))
+    reach_m = float(np.hypot(*(problem.points.xy - problem.centre).T).max())
+    if abs(move[2]) > max(SIGNIFICANT_M / reach_m, SIGNIFICANT_SIGMAS * sigma):
+        return move
+    return _refined(problem, np.append(move[:2], 0.0), turns=False)
+
+
+def _refined(
+    problem: _Problem, start: NDArray[np.float64], turns: bool = True
+) -> NDArray[np.float64]:
+    move, free = start, slice(3 if turns else 2)
     for _ in range(15):
         lane, residual = _nearest(problem, move)
-        rows = problem.rows(lane)
+        rows = problem.rows(lane)[:, free]
         weight = problem.weight * _biweight(np.abs(residual))
         fixed = np.where(np.isfinite(residual), problem.near.offset_m[_rows(lane), lane], 0.0)
-        change = np.asarray(
-            np.linalg.solve(
-                rows.T @ (weight[:, None] * rows) + _prior(), -(rows.T @ (weight * fixed))
-            ),
-            dtype=np.float64,
+        change = np.zeros(3)
+        change[free] = np.linalg.solve(
+            rows.T @ (weight[:, None] * rows) + _prior()[free, free], -(rows.T @ (weight * fixed))
         )
         if np.abs(change - move).max() < 1e-4:
             break
@@ -260,13 +275,16 @@ def _result(problem: _Problem, move: NDArray[np.float64]) -> Alignment:
     )
 
 
-def _cost(problem: _Problem, move: NDArray[np.float64]) -> tuple[float, float]:
-    """Errors of the map that a movement leaves; of equal ones, how badly the rest fits."""
-    lane, residual = _nearest(problem, move)
+def _cost(problem: _Problem, result: Alignment) -> tuple[float, float]:
+    """Errors of the map that a movement leaves as it is applied, and how badly the fit is.
+
+    Of movements that leave as many, the one that fits is taken.
+    """
+    used = result.applied
+    lane, residual = _nearest(problem, np.append(used.shift_m, used.turn_rad))
     distance = np.abs(residual)
     # Beyond half a lane, lanes are easily taken for their neighbours.
-    size = float(np.hypot(*move[:2]))
-    errors = float(size > SIGNIFICANT_M) + float(size > LANE_GATE_M)
+    errors = float(used.significant) + float(used.size_m > LANE_GATE_M)
     wrong: set[int] = set()
     for k in range(problem.lanes):
         mine = problem.points.lane == k
@@ -277,7 +295,8 @@ def _cost(problem: _Problem, move: NDArray[np.float64]) -> tuple[float, float]:
             there = beside & (edge == e)
             if there.sum() >= 5 and float(np.median(distance[there])) > WRONG_M:
                 wrong.add(e)
-    fit = float(problem.weight @ (1.0 - _biweight(distance)))
+    _, residual = _nearest(problem, np.append(result.shift_m, result.turn_rad))
+    fit = float(problem.weight @ (1.0 - _biweight(np.abs(residual))))
     return errors + len(wrong), fit
 
 
