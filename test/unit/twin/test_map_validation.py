@@ -83,7 +83,7 @@ def test_one_displaced_road_of_two_is_one_finding(network: RoadNetwork, tmp_path
     bad = load_network(tmp_path / "bad.net.xml", network.datum)
     # One lane of the right road against two of the displaced, and seen off its place.
     there, *_, back_0, back_1, _ = detected(network)
-    there = replace(there, centerline_m=there.centerline_m + [0.0, 0.3], vehicles=3.0)
+    there = replace(there, centerline_m=there.centerline_m + np.array([0.0, 0.3]), vehicles=3.0)
     seen = [
         replace(each, centerline_m=each.centerline_m[each.centerline_m[:, 0] < 280.0], sigma_m=0.18)
         for each in (there, back_0, back_1)
