@@ -55,7 +55,7 @@ class BackgroundProcess(Executor):
 
 def start_in_background() -> None:
     """Initialiser: low priority; ends when the process that started it ends, kill -9 included."""
-    os.nice(NICENESS)
+    os.setpriority(os.PRIO_PROCESS, 0, NICENESS)  # nice() would add to what the node was given
     parent = multiprocessing.parent_process()
     if parent is None:
         return

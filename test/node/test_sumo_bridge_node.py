@@ -53,7 +53,7 @@ def test_tracks_of_two_cameras_move_one_twin(nodes: Composition, net: Path) -> N
     tracks = ear.listen_tables("twin/tracks", TRACK_DTYPE)
     poses = ear.listen("twin/vehicles", PoseArray, KEEP_ALL)
     health = ear.listen("twin/health", DiagnosticArray, KEEP_ALL)
-    fixes = ear.listen("twin/datum", NavSatFix)
+    fixes = ear.listen("twin/datum", NavSatFix, LATCHED)
     (probe, north), (_, south) = speak(nodes, "north"), speak(nodes, "south")
     probe.until(lambda: len(node.known) == 2, "both datums")
     probe.until(lambda: node.twin.tracks.get_subscription_count() == 1, "a listener")
@@ -72,6 +72,7 @@ def test_tracks_of_two_cameras_move_one_twin(nodes: Composition, net: Path) -> N
     assert float(values["lane_error_share"]) == 0.0
     assert float(values["latency_ms_p99"]) > 0.0
     assert health[-1].status[0].message == "ok"
+    probe.until(lambda: bool(fixes), "the twin's datum")
     assert (fixes[0].latitude, fixes[0].longitude) == (DATUM.latitude_deg, DATUM.longitude_deg)
 
 
