@@ -83,6 +83,16 @@ class Member:
     _due_s: float = 0.0
 
 
+ALLOCATOR = {
+    "MALLOC_ARENA_MAX": "2",
+    "MALLOC_MMAP_THRESHOLD_": "1048576",
+    "MALLOC_TRIM_THRESHOLD_": "1048576",
+}
+"""Of glibc (mallopt(3)), unless the environment says otherwise. By itself it takes ever larger
+blocks from the heap, where tables that live for a minute leave holes between those that last: a
+camera grew by 2.5 MB a minute. With fixed thresholds it stays flat, for 4 % more processor time."""
+
+
 class Supervisor:
     """Runs the processes of a fleet.
 
@@ -108,7 +118,8 @@ class Supervisor:
         self.members = {plan.name: Member(plan) for plan in plans}
         self._output = output
         # What the ROS wheels leave in the environment is right for this same interpreter.
-        self._environment = {**os.environ, "PYTHONUNBUFFERED": "1", **(environment or {})}
+        own = {"PYTHONUNBUFFERED": "1", **(environment or {})}
+        self._environment = {**ALLOCATOR, **os.environ, **own}
         self._on_event = on_event
         self._command = command or group_command
         self._timing = timing or Timing()

@@ -24,6 +24,9 @@ BEHAVIOURS = {
     "hangs": "beat(); time.sleep(60)",
     "mute": "time.sleep(60)",
     "fails": "beat(); print('no such camera', flush=True); sys.exit(2)",
+    "tells": "say = os.environ\n"
+    "print(say['MALLOC_ARENA_MAX'], say['MALLOC_TRIM_THRESHOLD_'], flush=True)\n"
+    "while True: beat(); time.sleep(0.02)",
     "stubborn": "signal.signal(2, signal.SIG_IGN); signal.signal(15, signal.SIG_IGN)\n"
     "while True: beat(); time.sleep(0.02)",
 }
@@ -100,6 +103,16 @@ def test_no_more_processes_start_at_once_than_there_are_cores(
         starting += 1 if text.startswith("started") else -1
         most = max(most, starting)
     assert most == 2
+
+
+def test_memory_goes_back_unless_the_environment_says_otherwise(
+    make: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MALLOC_ARENA_MAX", "7")
+    monkeypatch.delenv("MALLOC_TRIM_THRESHOLD_", raising=False)
+    supervisor = make("tells")
+    run_until(supervisor, lambda: supervisor.all_running)
+    assert (tmp_path / "logs" / "tells.log").read_text().endswith("7 1048576\n")
 
 
 def test_a_killed_process_comes_back_and_the_others_stay(make: Make) -> None:
