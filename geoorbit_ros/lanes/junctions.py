@@ -153,6 +153,8 @@ def _split(ending: Ridge, going: Ridge) -> int | None:
     end = ending.end
     if abs(going.d[end - 1 - going.first] - ending.d[-1]) > SPLIT_M:
         return None
+    if _apart(ending, going) < going.first + MIN_STATIONS:  # nothing would be left of `going`
+        return None
     found = min(going.end, end + LANE_CHANGE) - MIN_STATIONS
     after = float(going.d[found - going.first :][:MIN_STATIONS].mean())
     shift = [abs(after - _settled(r, max(ending.first, going.first), end)) for r in (ending, going)]
