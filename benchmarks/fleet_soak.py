@@ -5,12 +5,13 @@ meta_client each, a federated server and the SUMO twin of the road. Their pictur
 beforehand and played as videos: drawing takes more than looking, and no real camera does it.
 `tracks`: eight cameras from recorded boxes, with homography, lane map and recorder each.
 
-Memory is resident memory, of each process and of all; its slope is fitted after the warm-up (the
-first 30 %), with the error of the fit. Latency is from the stamp of a frame, the time at which it
-was due, to the arrival of its `tracks` or its `lanes` here. A backlog would show as drift: how much
-later the last quarter of the frames is than the first.
+Memory is resident memory, of each process and of all; its slope is fitted after the warm-up, with
+the error of the fit. A camera is warm once its lanes' evidence is full, which on these roads takes
+a quarter of an hour: until then it remembers more vehicles each minute. Latency is from the stamp
+of a frame, the time at which it was due, to the arrival of its `tracks` or its `lanes` here. A
+backlog would show as drift: how much later the last quarter of the frames is than the first.
 
-    python benchmarks/fleet_soak.py [--kind rendered] [--kind tracks] [--minutes 10]
+    python benchmarks/fleet_soak.py [--kind rendered] [--kind tracks] [--minutes 10] [--warm-up 16]
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from soak.findings import draw, figures, print_tables
+from soak.findings import draw, figures, print_tables, write_memory
 from soak.fleets import Pictures, rendered_fleet, tracks_fleet
 from soak.watch import Samples, Watch
 
@@ -33,7 +34,6 @@ from geoorbit_ros.nodes.composition import Composition
 
 START_LIMIT_S = 120.0
 STOP_LIMIT_S = 30.0
-WARM_UP_SHARE = 0.3
 LATENCY_LIMIT_MS = 150.0
 NAMES = {"rendered": "fleet of 4 rendered cameras", "tracks": "fleet of 8 trajectory cameras"}
 
@@ -82,7 +82,8 @@ def main() -> int:
     """Run the fleets that are asked for."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--kind", action="append", choices=tuple(NAMES))
-    parser.add_argument("--minutes", type=float, default=10.0)
+    parser.add_argument("--minutes", type=float, default=10.0, help="that count")
+    parser.add_argument("--warm-up", type=float, default=16.0, help="minutes before them")
     parser.add_argument("--size", default="640x360", help="of the rendered pictures")
     parser.add_argument("--fps", type=float, default=10.0, help="of the rendered pictures")
     parser.add_argument(
@@ -93,13 +94,14 @@ def main() -> int:
     pictures = Pictures(width, height, options.fps)
     folder = options.out.absolute()
     folder.mkdir(parents=True, exist_ok=True)
-    warm_min = options.minutes * WARM_UP_SHARE
+    warm_min = options.warm_up
     for kind in options.kind or NAMES:
         content = rendered_fleet(folder, pictures) if kind == "rendered" else tracks_fleet(folder)
-        samples = run(content, kind, options.minutes, folder)
+        samples = run(content, kind, warm_min + options.minutes, folder)
         found = figures(samples, options.minutes, warm_min)
         print_tables(kind, found)
         (folder / f"{kind}.json").write_text(json.dumps(found, indent=1) + "\n")
+        write_memory(samples, folder / f"{kind}-memory.csv")
         draw(samples, warm_min, NAMES[kind], folder / f"{kind}.png")
         print(f"figures: {folder / kind}.json, picture: {folder / kind}.png", file=sys.stderr)
         report(kind, found)

@@ -94,6 +94,17 @@ def print_tables(kind: str, found: dict[str, Any]) -> None:
     console.print("not healthy at the end:", "; ".join(found["problems_at_the_end"]) or "nothing")
 
 
+def write_memory(samples: Samples, file: Path) -> None:
+    """Resident megabytes over the minutes, a column per process."""
+    names = sorted(samples.memory_mb[-1])
+    lines = [",".join(["minute", *names])]
+    for minute, row in zip(samples.minute, samples.memory_mb, strict=True):
+        lines.append(
+            ",".join([f"{minute:.3f}", *(f"{row.get(name, np.nan):.3f}" for name in names)])
+        )
+    file.write_text("\n".join(lines) + "\n")
+
+
 def draw(samples: Samples, warm_min: float, title: str, file: Path) -> None:
     """Memory of every process, and the latency of every camera's tracks, over the minutes."""
     import matplotlib as mpl
