@@ -6,12 +6,14 @@ import inspect
 import os
 import sys
 import time
+from collections.abc import Sequence
 from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from geoorbit_ros.core.errors import ParameterError
+from geoorbit_ros.fleet.allocator import FreeMemory
 from geoorbit_ros.fleet.plan import NodePlan, ProcessPlan
 from geoorbit_ros.fleet.supervisor import HEARTBEAT_PERIOD_S
 from geoorbit_ros.nodes.base import GeoOrbitNode
@@ -65,7 +67,13 @@ def run_group(plan: ProcessPlan, heartbeat: Heartbeat) -> int:
         Exit status: 0 when told to end, 2 with one sentence when a node can't start.
     """
     makers = [partial(_make, node) for node in plan.nodes]
-    return run_nodes(makers, lambda _: heartbeat.beat(), [])
+    free_memory = FreeMemory()
+
+    def goes_on(_: Sequence[GeoOrbitNode[Any]]) -> bool:
+        free_memory.give_back_if_due()
+        return heartbeat.beat()
+
+    return run_nodes(makers, goes_on, [])
 
 
 def _make(plan: NodePlan) -> GeoOrbitNode[Any]:

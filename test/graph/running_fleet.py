@@ -68,10 +68,10 @@ class RunningFleet:
         self.nodes.wait(lambda: bool(met()), LIMIT_S, f"{what}; {self.log.read_text()}")
 
     def kill(self, name: str) -> float:
-        """`kill -9` of a process, until another has its place; when that was, by the monotonic clock.
+        """`kill -9` of a process; waits for the next one; returns the monotonic time of the kill.
 
-        Its last words and its open sockets outlive it by a moment: what is heard before the next one
-        has started says nothing about that one.
+        Its last words and its open sockets outlive it by a moment: what is heard before the next
+        one has started says nothing about that one.
         """
         pid, killed_s = self.pid(name), time.monotonic()
         os.kill(pid, signal.SIGKILL)
