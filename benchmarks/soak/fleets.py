@@ -66,7 +66,8 @@ def rendered_fleet(folder: Path, pictures: Pictures) -> dict[str, Any]:
             )
             write_rendered_scene(shown, there)
         files = {"source": str(there / VIDEO), "calibration": str(there / CALIBRATION)}
-        cameras.append({"id": name, **files})
+        image_size = [pictures.width, pictures.height]
+        cameras.append({"id": name, "image_size": image_size, **files})
     net = folder / "net"
     net.mkdir(exist_ok=True)
     datum = Datum(scene.place.latitude_deg, scene.place.longitude_deg)
