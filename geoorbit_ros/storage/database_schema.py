@@ -15,6 +15,9 @@ MAX_BATCH_SPAN_NS = 1_000_000_000
 """No batch of frames is longer: readers rely on it to find the batch that holds a time."""
 BUSY_TIMEOUT_S = 5.0
 _WAL_LIMIT_BYTES = 16_000_000
+_WRITER_CACHE_KB = 256
+"""Writing at the end touches few pages. SQLite's 2 MB would be filled with old ones over minutes,
+in each of a thousand recorders."""
 
 MIGRATIONS: tuple[str, ...] = (
     # 1: The index over five columns answers what is in the file without touching a block.
@@ -137,6 +140,7 @@ def _prepare(connection: sqlite3.Connection, path: Path, *, fresh: bool) -> None
     connection.execute("PRAGMA synchronous = NORMAL")
     connection.execute("PRAGMA foreign_keys = ON")
     connection.execute(f"PRAGMA journal_size_limit = {_WAL_LIMIT_BYTES}")
+    connection.execute(f"PRAGMA cache_size = -{_WRITER_CACHE_KB}")
 
 
 def _migrate(connection: sqlite3.Connection, migrations: Sequence[str]) -> None:
