@@ -2,11 +2,20 @@
 
 Server and cameras are real nodes, each in a network namespace of its own, on one Ethernet link.
 Every frame at the server's network card is counted: the parameter topics' data, heartbeats and
-acknowledgements with their RTPS, UDP and IP headers; discovery; the rest. Two runs: models to each
-camera, and models by multicast (params/dds/multicast.xml). The learning is made up (updates are
-random, the worst case for top-k), messages, signatures and rounds are the real ones.
+acknowledgements with their RTPS, UDP and IP headers; discovery; the rest. The learning is made up
+(updates are random, the worst case for top-k), messages, signatures and rounds are the real ones.
 
-    python benchmarks/federation_wire.py [--rounds 20] [--encoding top_k]
+Fast DDS sends heartbeats every three seconds while something is not acknowledged: in faster rounds
+one stands for several messages and the bill is smaller, in slower ones it is the same. So a round
+takes six. The heartbeats of params/dds/thrifty.xml are as much closer together as rounds are than
+once per minute, and the bill is that of a minute's rounds; `--round-s 60` takes the file as it is.
+
+    python benchmarks/federation_wire.py [--ways unicast multicast thrifty] [--rounds 20]
+        [--round-s 6] [--clients-per-round N]
+
+Ways: `unicast`, models to each camera, as nodes come; `multicast`, params/dds/multicast.xml for the
+cameras; `thrifty`, params/thrifty_federation.yaml and params/dds/thrifty.xml for all. They run at
+the same time, each in a network of its own. In the first two all cameras take part in each round.
 
 It needs `ip netns` and the right to use it (root), and is skipped elsewhere.
 """
@@ -17,6 +26,7 @@ import argparse
 import hashlib
 import json
 import os
+import re
 import shutil
 import signal
 import socket
@@ -34,6 +44,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from geoorbit_ros.core.resources import share_path
 from geoorbit_ros.federated.keys import Signer
@@ -44,7 +55,10 @@ from geoorbit_ros.learning.meta_learner import MetaLearner
 
 CAMERAS = ("north", "south", "west", "east")
 LIMIT_BYTES = 28_000
+HEARTBEAT_S = 3.0
+"""The period of heartbeats where a profile says nothing."""
 LIMIT_S = 120.0
+"""For starting and ending; the rounds come on top."""
 PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
 PREFIX = f"gw{os.getpid() % 10_000}"
 ETHERNET_BYTES, UDP_BYTES, RTPS_BYTES = 14, 8, 20
@@ -57,8 +71,16 @@ Writer = tuple[bytes, bytes]
 # --- One camera -----------------------------------------------------------------------------------
 
 
-def camera(name: str, folder: Path, server_key: str, encoding: str) -> int:
-    """A real meta_client with made-up lessons; ends when training is over."""
+def camera(name: str, folder: Path, server_key: str, settings: dict[str, object]) -> int:
+    """A real meta_client with made-up lessons; ends when training is over.
+
+    Args:
+        name: Of the camera.
+        folder: With its key.
+        server_key: The server's public one.
+        settings: Parameters of the node; and `round_s`, how long a lesson takes, `limit_s`,
+            and `tail_s`, how long to stay after training.
+    """
     import rclpy
 
     from geoorbit_ros.core.lanes import Lane
@@ -69,7 +91,12 @@ def camera(name: str, folder: Path, server_key: str, encoding: str) -> int:
     from geoorbit_ros.nodes.meta_client import MetaClientNode
     from geoorbit_ros.nodes.process import make_executor
 
+    round_s, limit_s, tail_s = (
+        float(str(settings.pop(name))) for name in ("round_s", "limit_s", "tail_s")
+    )
+
     def lesson(task: Any, _: str, tensors: Any, order: Any, best: Any = None) -> Lesson:
+        time.sleep(round_s)
         if not order.teach:
             return Lesson(LocalResult({}, 0, 1.0, -0.5), None)
         random = np.random.default_rng([order.round, *task.camera_id.encode()])
@@ -87,8 +114,8 @@ def camera(name: str, folder: Path, server_key: str, encoding: str) -> int:
             "key_file": str(folder / f"{name}.key"),
             "server_key": server_key,
             "observation_s": 1.0,
-            "encoding": encoding,
-        },
+        }
+        | settings,
     )
     node.session._executor = ThreadPoolExecutor(1)
     line, side = np.array([[0.0, 0.0], [50.0, 0.0]]), np.array([0.0, 1.75])
@@ -100,10 +127,10 @@ def camera(name: str, folder: Path, server_key: str, encoding: str) -> int:
         node.session.add(k * 100_000_000, rows)
     executor = make_executor()
     executor.add_node(node)
-    deadline = time.monotonic() + LIMIT_S
+    deadline = time.monotonic() + limit_s
     while not node.client.finished and time.monotonic() < deadline:
         executor.spin_once(timeout_sec=0.2)
-    end = time.monotonic() + 1.0  # the last acknowledgements
+    end = time.monotonic() + tail_s  # the last heartbeats and acknowledgements
     while time.monotonic() < end:
         executor.spin_once(timeout_sec=0.2)
     print(node.client.finished, flush=True)
@@ -242,10 +269,11 @@ def ip(*words: str) -> None:
 
 
 @contextmanager
-def link() -> Iterator[dict[str, str]]:
-    """Namespaces of server and cameras by name, all on one switch."""
-    hosts = {name: f"{PREFIX}{k}" for k, name in enumerate(("server", *CAMERAS))}
-    switch = f"{PREFIX}s"
+def link(number: int) -> Iterator[dict[str, str]]:
+    """Namespaces of server and cameras by name, all on one switch, one of several such links."""
+    prefix = f"{PREFIX}{number}"
+    hosts = {name: f"{prefix}{k}" for k, name in enumerate(("server", *CAMERAS))}
+    switch = f"{prefix}s"
     try:
         for name in (switch, *hosts.values()):
             ip("netns", "add", name)
@@ -253,7 +281,7 @@ def link() -> Iterator[dict[str, str]]:
         ip("-n", switch, "link", "add", "br0", "type", "bridge", "mcast_snooping", "0")
         ip("-n", switch, "link", "set", "br0", "up")
         for k, name in enumerate(hosts.values()):
-            inner, outer = f"{PREFIX}i{k}", f"{PREFIX}o{k}"
+            inner, outer = f"{prefix}i{k}", f"{prefix}o{k}"
             ip("link", "add", inner, "type", "veth", "peer", "name", outer)
             ip("link", "set", inner, "netns", name)
             ip("link", "set", outer, "netns", switch)
@@ -271,17 +299,74 @@ def link() -> Iterator[dict[str, str]]:
             )
 
 
+@dataclass(frozen=True)
+class Way:
+    """How a federation is set up.
+
+    Attributes:
+        title: In words.
+        parameters: File of parameters for both nodes; empty: all cameras in each round, top-k.
+        server_profile: What Fast DDS finds in the server's environment; empty: nothing.
+        camera_profile: The same for the cameras.
+        limit: Whether everything, not the messages alone, is to fit in 28 kB.
+    """
+
+    title: str
+    parameters: str = ""
+    server_profile: str = ""
+    camera_profile: str = ""
+    limit: bool = False
+
+
+WAYS = {
+    "unicast": Way("models to each camera"),
+    "multicast": Way("models by multicast", camera_profile="multicast.xml"),
+    "thrifty": Way(
+        "thrifty: two cameras per round, models by multicast, few acknowledgements",
+        "thrifty_federation.yaml",
+        "thrifty.xml",
+        "thrifty.xml",
+        limit=True,
+    ),
+}
+
+
+def settings_of(way: Way, node: str) -> dict[str, object]:
+    """Parameters of a node."""
+    if not way.parameters:
+        return {"encoding": "top_k"}
+    content = yaml.safe_load(share_path(f"params/{way.parameters}").read_text())
+    return dict(content[f"/**/{node}"]["ros__parameters"])
+
+
+def profile(name: str, folder: Path, round_s: float) -> tuple[dict[str, str], float]:
+    """The environment that makes Fast DDS read a profile; the period of its heartbeats, in seconds.
+
+    A period that is in the file follows the rounds' pace.
+    """
+    if not name:
+        return {}, HEARTBEAT_S
+    text, scaled = share_path(f"params/dds/{name}").read_text(), HEARTBEAT_S
+    period = re.search(r"<heartbeatPeriod>\s*<sec>(\d+)</sec>", text)
+    if period:
+        scaled = max(1, round(int(period[1]) * round_s / 60.0))
+        text = text.replace(period[0], f"<heartbeatPeriod><sec>{scaled}</sec>")
+    (folder / name).write_text(text)
+    return {PROFILES: str(folder / name)}, float(scaled)
+
+
 def run(
-    hosts: dict[str, str], folder: Path, rounds: int, encoding: str, dds: dict[str, str]
+    hosts: dict[str, str], folder: Path, way: Way, rounds: int, round_s: float, per_round: int
 ) -> tuple[Bill, float]:
     """Train once; the bill and the seconds that the rounds took.
 
     Args:
         hosts: Network namespaces.
         folder: For keys, logs and what the card saw; is made.
+        way: How.
         rounds: How many.
-        encoding: Of models and updates.
-        dds: What Fast DDS finds in the cameras' environment.
+        round_s: How long a camera works on one.
+        per_round: Cameras in a round; 0: what the way says.
     """
     folder.mkdir()
     public = {}
@@ -310,7 +395,15 @@ def run(
         running.append(process)
         return process
 
-    capture = folder / "frames"
+    for_server, heartbeat_s = profile(way.server_profile, folder, round_s)
+    with_profile, _ = profile(way.camera_profile, folder, round_s)
+    tail_s = heartbeat_s + 1.0
+    capture, limit_s = folder / "frames", LIMIT_S + (rounds + 1) * round_s
+    settings = settings_of(way, "federated_server")
+    if per_round:
+        settings["clients_per_round"] = per_round % len(CAMERAS)
+    lessons = {"round_s": round_s, "limit_s": limit_s, "tail_s": tail_s}
+    for_cameras = json.dumps(settings_of(way, "meta_client") | lessons)
     try:
         start("server", __file__, "--sniff", str(capture))
         words = ["-m", "geoorbit_ros.nodes.federated_server", "--ros-args"]
@@ -319,16 +412,25 @@ def run(
             "key_file": folder / "server.key",
             "checkpoint": folder / "server.npz",
             "rounds": rounds,
-            "encoding": encoding,
+            **settings,
         }.items():
             words += ["-p", f"{key}:={value}"]
-        start("server", *words)
+        start("server", *words, **for_server)
         cameras = [
-            start(name, __file__, "--camera", name, str(folder), public["server"], encoding, **dds)
-            for name in CAMERAS
+            start(
+                n,
+                __file__,
+                "--camera",
+                n,
+                str(folder),
+                public["server"],
+                for_cameras,
+                **with_profile,
+            )
+            for n in CAMERAS
         ]
         for name, process in zip(CAMERAS, cameras, strict=True):
-            if process.wait(LIMIT_S) != 0:
+            if process.wait(limit_s + tail_s) != 0:
                 raise SystemExit((folder / f"{name}.log").read_text())
     finally:
         for process in running:
@@ -339,59 +441,68 @@ def run(
     if state is None or not state.finished:
         raise SystemExit((folder / "server.log").read_text())
     updates = [record.updates for record in state.history]
-    if updates != [*[len(CAMERAS)] * rounds, 0]:
+    if updates != [*[settings.get("clients_per_round") or len(CAMERAS)] * rounds, 0]:
         raise SystemExit(f"not everybody took part in every round: {updates}")
     return bill_of(capture), sum(record.seconds for record in state.history)
 
 
-def show(way: str, bill: Bill, seconds: float) -> None:
-    print(f"\nmodels by {way}", file=sys.stderr)
+def show(way: Way, bill: Bill, seconds: float) -> None:
+    print(f"\n{way.title}", file=sys.stderr)
     for name, size in sorted(bill.size.items()):
         count = f"{bill.packets[name]:5d} packets" if name in bill.packets else ""
         print(f"{name:32s} {size / 1e3:8.2f} kB {count}", file=sys.stderr)
+    for key, name in LEVELS.items():
+        print(f"{name:60s} {size_of(bill, key) / 1e3:8.2f} kB", file=sys.stderr)
     print(f"rounds took {seconds:.1f} s", file=sys.stderr)
+
+
+LEVELS = {
+    "messages": "serialised messages",
+    "data": "messages with RTPS, UDP and IP headers",
+    "all": "the same with heartbeats and acknowledgements",
+}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--ways", nargs="+", choices=WAYS, default=list(WAYS))
     parser.add_argument("--rounds", type=int, default=20)
-    parser.add_argument("--encoding", default="top_k")
+    parser.add_argument("--round-s", type=float, default=6.0)
+    parser.add_argument("--clients-per-round", type=int, default=0)
     parser.add_argument("--sniff", metavar="FILE", help=argparse.SUPPRESS)
     parser.add_argument("--camera", nargs=4, help=argparse.SUPPRESS)
     chosen = parser.parse_args()
     if chosen.sniff:
         sniff("eth0", Path(chosen.sniff))
     if chosen.camera:
-        name, folder, key, encoding = chosen.camera
-        sys.exit(camera(name, Path(folder), key, encoding))
-    ways = {
-        "unicast": {},
-        "multicast": {PROFILES: str(share_path("params/dds/multicast.xml"))},
-    }
-    names = {
-        "messages": "4 cameras x 20 rounds, models by {}: serialised messages / 28 kB",
-        "data": "models by {}: messages with RTPS, UDP and IP headers / 28 kB",
-        "all": "models by {}: the same with heartbeats and acknowledgements / 28 kB",
-    }
+        name, folder, key, settings = chosen.camera
+        sys.exit(camera(name, Path(folder), key, json.loads(settings)))
     bills: dict[str, Bill] = {}
     reason = "" if shutil.which("ip") else "no `ip` command: install iproute2"
+
+    def measure(number: int, way: str, place: Path) -> tuple[Bill, float]:
+        with link(number) as hosts:
+            numbers = (chosen.rounds, chosen.round_s, chosen.clients_per_round)
+            return run(hosts, place / way, WAYS[way], *numbers)
+
     try:
-        with tempfile.TemporaryDirectory() as place, link() as hosts:
-            for way, dds in ways.items():
-                folder = Path(place) / way
-                bills[way], seconds = run(hosts, folder, chosen.rounds, chosen.encoding, dds)
-                show(way, bills[way], seconds)
+        with tempfile.TemporaryDirectory() as place, ThreadPoolExecutor() as pool:
+            tasks = [pool.submit(measure, k, way, Path(place)) for k, way in enumerate(chosen.ways)]
+            for way, task in zip(chosen.ways, tasks, strict=True):
+                bills[way], seconds = task.result()
+                show(WAYS[way], bills[way], seconds)
     except OSError as error:
         reason = reason or f"network namespaces are not allowed here ({error})"
-    for way in ways:
-        for key, name in names.items():
-            result: dict[str, object] = {"name": name.format(way)}
+    for way in chosen.ways:
+        for key, level in LEVELS.items():
+            name = f"4 cameras x 20 rounds, {WAYS[way].title}: {level} / 28 kB"
+            result: dict[str, object] = {"name": name}
             if reason:
                 print(json.dumps(result | {"skipped": reason}))
                 continue
             size = size_of(bills[way], key)
-            # The promise is about messages: for headers see docs/federation.md.
-            limit = {"limit": 1.0} if key == "messages" else {}
+            # The promise is about messages; of the thrifty way, about all that its topics cause.
+            limit = {"limit": 1.0} if key == "messages" or WAYS[way].limit else {}
             print(json.dumps(result | {"ratio": round(size / LIMIT_BYTES, 4)} | limit))
 
 

@@ -16,6 +16,7 @@ from geoorbit_ros.core.tables import Frames
 from geoorbit_ros.federated.client import FederatedClient, Work
 from geoorbit_ros.federated.global_model import interface_digest
 from geoorbit_ros.federated.keys import Signer
+from geoorbit_ros.federated.outbox import Outbox
 from geoorbit_ros.federated.theta import ThetaPayload
 from geoorbit_ros.lanes.parameters import LaneParameters
 from geoorbit_ros.learning.camera_learning import Lesson, learn_from_camera
@@ -43,6 +44,8 @@ class CameraSession:
         estimator: A name of `lanes.factory`.
         observation_s: Length of an observation, by the stamps of the tracks.
         executor: Where training runs; a process, for it takes a core for seconds.
+        resend_s: After this time without a newer model an update is sent again, and after twice as
+            long once more, and so on; 0: never.
 
     Attributes:
         reference: Reference lanes by number, from the map.
@@ -58,9 +61,11 @@ class CameraSession:
         estimator: str,
         observation_s: float,
         executor: Executor,
+        resend_s: float = 0.0,
     ) -> None:
         self.client, self._signer = client, signer
         self._estimator, self._executor = estimator, executor
+        self._outbox = Outbox(resend_s)
         self._length_ns = round(observation_s * 1e9)
         self.reference: dict[int, Lane] = {}
         self._settled_s = 0.0
@@ -137,6 +142,9 @@ class CameraSession:
         Raises:
             GeoOrbitError: Training failed.
         """
+        return self._outbox.pass_on(self._poll(now_s), self.client, now_s)
+
+    def _poll(self, now_s: float) -> bytes | None:
         if self._running is not None:
             return self._finish(*self._running)
         work = self._work

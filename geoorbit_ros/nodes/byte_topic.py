@@ -16,10 +16,17 @@ from geoorbit_ros.nodes.base import GeoOrbitNode
 KEEP_UPDATES = 1000
 
 
-def updates_qos() -> QoSProfile:
-    """For updates: reliable, many may come at once, nobody needs those of before."""
+def updates_qos(reliability: str = "reliable") -> QoSProfile:
+    """For updates: many may come at once, nobody needs those of before.
+
+    Args:
+        reliability: `reliable` or, for a server whose clients send again by themselves,
+            `best_effort`. Publishers are always reliable, which fits both.
+    """
     return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST, depth=KEEP_UPDATES, reliability=ReliabilityPolicy.RELIABLE
+        history=HistoryPolicy.KEEP_LAST,
+        depth=KEEP_UPDATES,
+        reliability=ReliabilityPolicy[reliability.upper()],
     )
 
 

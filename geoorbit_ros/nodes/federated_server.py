@@ -12,6 +12,7 @@ from rclpy.clock import Clock, ClockType
 from std_msgs.msg import String
 
 from geoorbit_ros.federated.envelope import schema_of
+from geoorbit_ros.federated.errors import FederationError
 from geoorbit_ros.federated.keys import Roster, Signer, read_private_key
 from geoorbit_ros.federated.secure_aggregation.coordinator import MIN_CLIENTS
 from geoorbit_ros.federated.secure_aggregation.message import SCHEMA as SECURE
@@ -65,6 +66,7 @@ class FederatedServerParameters:
     max_sample_count: int
     clip_norm: float
     noise_multiplier: float
+    reliability: str
     secure_aggregation: bool
     seed: int
 
@@ -93,6 +95,9 @@ class FederatedServerNode(GeoOrbitNode[FederatedServerParameters]):
 
     def setup(self) -> None:
         """Take up the checkpoint if there is one, and announce the open round."""
+        if self.p.secure_aggregation and self.p.reliability != "reliable":
+            found = "secure_aggregation with reliability best_effort"
+            raise FederationError("federated_server", found, "reliable: its steps are sent once")
         private = read_private_key(self.p.key_file) if self.p.key_file else None
         roster = Roster.read(self.p.roster)
         self.server = FederatedServer(
@@ -107,7 +112,8 @@ class FederatedServerNode(GeoOrbitNode[FederatedServerParameters]):
         self._models = PayloadPublisher(self, "/federated/global_model", model_qos(depth))
         self._steps = PayloadPublisher(self, "/federated/secure_aggregation", updates_qos())
         self._status = self.create_publisher(String, "/federated/status", LATCHED)
-        subscribe_payloads(self, "/federated/client_update", updates_qos(), self._on_update)
+        updates = updates_qos(self.p.reliability)
+        subscribe_payloads(self, "/federated/client_update", updates, self._on_update)
         self.create_timer(PERIOD_S, self._on_time, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._send(self.server.start(time.monotonic()))
         resumed = "resumed at" if self.server.resumed else "starts with"

@@ -49,6 +49,7 @@ class MetaClientParameters:
     encoding: str
     top_k_share: float
     top_k_bits: int
+    resend_s: float
     model_history: int
     reliability: str
     queue_depth: int
@@ -81,7 +82,7 @@ class MetaClientNode(GeoOrbitNode[MetaClientParameters]):
         )
         self._training = BackgroundProcess()
         self.session = CameraSession(
-            self.client, signer, p.estimator, p.observation_s, self._training
+            self.client, signer, p.estimator, p.observation_s, self._training, p.resend_s
         )
         if p.model_file:
             self.session.learner = load_model(Path(p.model_file))

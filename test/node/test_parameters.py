@@ -53,8 +53,9 @@ def test_defaults_satisfy_their_own_schema_unless_they_must_be_given(node_class:
             assert spec.checked(spec.default, "default") is not None
 
 
-def test_the_sample_file_holds_known_parameters_within_their_bounds() -> None:
-    content = yaml.safe_load((PARAMS / "one_camera.yaml").read_text())
+@pytest.mark.parametrize("file", ["one_camera.yaml", "thrifty_federation.yaml"])
+def test_a_sample_file_holds_known_parameters_within_their_bounds(file: str) -> None:
+    content = yaml.safe_load((PARAMS / file).read_text())
     assert content
     for key, entry in content.items():
         schema = {spec.name: spec for spec in load_schema(key.removeprefix("/**/"))}
