@@ -7,7 +7,8 @@ beforehand and played as videos: drawing takes more than looking, and no real ca
 
 Memory is resident memory, of each process and of all; its slope is fitted after the warm-up, with
 the error of the fit. The cameras begin as they are after hours, with their lanes' evidence full:
-until then one remembers more vehicles each minute, up to 1500 (`--young`: begin with nothing).
+until then one remembers more vehicles each minute, up to 1500 (`--young`: begin with nothing). The
+twin remembers ten minutes of traffic, for forecasts: hence the warm-up.
 Latency is from the stamp of a frame, the time at which it was due, to the arrival of its `tracks`
 or its `lanes` here. A backlog would show as drift: how much later the last quarter of the frames
 is than the first.
@@ -89,7 +90,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--kind", action="append", choices=tuple(NAMES))
     parser.add_argument("--minutes", type=float, default=10.0, help="that count")
-    parser.add_argument("--warm-up", type=float, default=3.0, help="minutes before them")
+    parser.add_argument("--warm-up", type=float, default=10.0, help="minutes before them")
     parser.add_argument("--young", action="store_true", help="cameras that know no traffic yet")
     parser.add_argument("--size", default="640x360", help="of the rendered pictures")
     parser.add_argument("--fps", type=float, default=10.0, help="of the rendered pictures")

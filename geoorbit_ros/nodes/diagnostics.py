@@ -93,7 +93,7 @@ class Diagnostics:
             self.warn(fault)
         if refused:
             faults.append(str(self.last_refusal))
-        if missing:
+        if missing > 0:  # below zero: frames came late that were counted before
             faults.append(f"{missing} frames missing")
         values = {
             "rate_hz": f"{came / max(elapsed, 1e-9):.1f}",

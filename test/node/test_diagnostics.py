@@ -31,6 +31,16 @@ def test_counts_rate_latency_and_missing_frames(nodes: Composition) -> None:
     assert (quiet["level"], quiet["rate_hz"]) == ("0", "0.0")
 
 
+def test_frames_that_come_late_after_all_are_no_fault(nodes: Composition) -> None:
+    node = nodes.make(LaneGeometryNode, "north", LOSSLESS)
+    probe = Probe(nodes)
+    node.diagnostics.received, node.diagnostics.missing = 50, 2
+    node.diagnostics.report()
+    node.diagnostics.received, node.diagnostics.missing = 52, 0
+    status = probe.status_of("/north/lane_geometry")
+    assert (status["level"], status["message"], status["missing"]) == ("0", "ok", "0")
+
+
 def test_a_frame_of_the_present_has_an_age_and_a_recording_has_none(nodes: Composition) -> None:
     node = nodes.make(LaneGeometryNode, "north", LOSSLESS)
     probe = Probe(nodes)
