@@ -11,6 +11,7 @@ from geoorbit_ros.cli import twin_map
 from geoorbit_ros.cli.inputs import DatumOption, ImageSizeOption
 
 if TYPE_CHECKING:
+    from geoorbit_ros.twin.driven_lanes import DrivenNetwork
     from geoorbit_ros.twin.network import RoadNetwork
     from geoorbit_ros.twin.replay import ReplayScore, TrackStream
 
@@ -46,7 +47,8 @@ def replay(
         bool,
         typer.Option(
             "--align/--no-align",
-            help="Learn the lanes first, and lay the tracks on the map where they don't fit it.",
+            help="Learn the lanes first; lay the tracks on the map where they don't fit it, and "
+            "count vehicles to its lanes where those are driven.",
         ),
     ] = True,
     video: Annotated[
@@ -79,9 +81,9 @@ def replay(
     with atomic_output(out) as folder:
         streams = open_streams(bags, calibration, image_size, datum)
         network = load_network(net, streams[0].datum)
-        said = ["Tracks are where the cameras see them."]
+        said, driven = ["Tracks are where the cameras see them."], None
         if align:
-            streams, said = align_streams(streams, network)
+            streams, driven, said = align_streams(streams, network)
         simulation = SumoSimulation(net, step_s)
         folder.mkdir()
         ways, busiest = WayKeeper(), BusiestStep()
@@ -93,12 +95,14 @@ def replay(
                     ways.add(step.xy, step.lane)
                     busiest.add(step)
 
-                score = replay_tracks(network, simulation, streams, take, step_s)
+                score = replay_tracks(network, simulation, streams, take, step_s, driven=driven)
         finally:
             simulation.close()
         _check_traffic(score, str(net))
         aligned = {s.camera: s.alignment.values() for s in streams if s.alignment is not None}
-        text = json.dumps(score.values() | {"aligned": aligned}, indent=2)
+        moved = round(driven.largest_m, 3) if driven else 0.0
+        record = score.values() | {"aligned": aligned, "lanes_moved_m": moved}
+        text = json.dumps(record, indent=2)
         (folder / "score.json").write_text(text + "\n", encoding="utf-8")
         title = f"{score.vehicles} vehicles in {score.health.steps * step_s:.0f} s on {net.name}"
         save_picture(folder / "twin.png", network, ways, title)
@@ -122,8 +126,10 @@ def replay(
 
 def align_streams(
     streams: list[TrackStream], network: RoadNetwork
-) -> tuple[list[TrackStream], list[str]]:
-    """The streams, laid on the network where they don't fit it, and what was found.
+) -> tuple[list[TrackStream], DrivenNetwork | None, list[str]]:
+    """The streams, laid on the network where they don't fit it, its lanes, and what was found.
+
+    The lanes are those of the network where they are driven, None where that is as it has them.
 
     The lanes are learnt from the same tracks, as `geoorbit lanes` does it.
     """
@@ -134,9 +140,10 @@ def align_streams(
     from geoorbit_ros.lanes.factory import make_estimator
     from geoorbit_ros.lanes.mapper import LaneMapper
     from geoorbit_ros.lanes.pipeline import map_lanes
+    from geoorbit_ros.twin.driven_lanes import as_driven, merged
     from geoorbit_ros.twin.validation import in_frame, say_alignment, validate
 
-    found, said = [], []
+    found, said, seen_lanes = [], [], []
     for stream in streams:
         frames = list(stream.frames)
         alignment = None
@@ -149,6 +156,7 @@ def align_streams(
         except NoTrafficError:
             said.append(f"{stream.camera}: too little traffic to compare the lanes with the map.")
         else:
+            seen_lanes.append(check.discrepancies.driven)
             said.append(f"{stream.camera}: {say_alignment(check.alignment)}")
             lanewise = sum(f.kind != "offset" for f in check.findings)
             if lanewise:
@@ -159,7 +167,14 @@ def align_streams(
             if check.alignment.significant:
                 alignment = check.alignment
         found.append(replace(stream, frames=frames, alignment=alignment))
-    return found, said
+    lanes_of = merged(seen_lanes)
+    driven = as_driven(network, lanes_of) if lanes_of else None
+    if driven is not None:
+        said.append(
+            f"Vehicles are counted to lanes where those are driven, up to {driven.largest_m:.2f} m "
+            "beside where the map has them."
+        )
+    return found, driven, said
 
 
 def open_streams(

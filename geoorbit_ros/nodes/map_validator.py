@@ -17,6 +17,7 @@ from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.nodes.base import GeoOrbitNode
 from geoorbit_ros.nodes.latched import LATCHED
 from geoorbit_ros.twin.alignment import Alignment
+from geoorbit_ros.twin.driven_lanes import DrivenNetwork
 from geoorbit_ros.twin.map_watch import MapWatch
 from geoorbit_ros.twin.network import RoadNetwork
 from geoorbit_ros.twin.validation import Validation, say_alignment
@@ -34,6 +35,7 @@ class MapValidator:
         frame_id: Name of the cameras' map frames.
         period_s: Between two looks at one camera's lanes, by their stamps; 0 never looks.
         on_alignment: Called with a camera and the alignment that holds from now on; may be None.
+        on_driven: Called with the network's lanes where they are driven from now on; may be None.
     """
 
     def __init__(
@@ -44,9 +46,11 @@ class MapValidator:
         frame_id: str,
         period_s: float,
         on_alignment: Callable[[str, Alignment], None] | None,
+        on_driven: Callable[[DrivenNetwork], None] | None = None,
     ) -> None:
         self._node, self._network, self._frame_id = node, network, frame_id
-        self._on_alignment = on_alignment
+        self._on_alignment, self._on_driven = on_alignment, on_driven
+        self._driven: DrivenNetwork | None = None
         self.watch = MapWatch(network, period_s)
         self.datums: dict[str, Datum] = {}
         if period_s <= 0.0:
@@ -67,8 +71,9 @@ class MapValidator:
     def diagnostic_values(self) -> dict[str, object]:
         """Findings of all cameras, and which of them are laid on the map."""
         found = self.watch.validations
-        aligned = self.watch.alignments
+        aligned, driven = self.watch.alignments, self.watch.driven
         return {
+            "lanes_moved_m": f"{driven.largest_m:.2f}" if driven else "0.00",
             "map_findings": sum(len(v.findings) for v in found.values()),
             **{f"aligned_{c}_m": f"{a.size_m:.2f}" for c, a in aligned.items() if a.significant},
         }
@@ -91,6 +96,10 @@ class MapValidator:
             moved = self.watch.realigned(camera)
             if moved is not None and self._on_alignment is not None:
                 self._on_alignment(camera, moved)
+            if self.watch.driven is not self._driven:
+                self._driven = self.watch.driven
+                if self._on_driven is not None and self._driven is not None:
+                    self._on_driven(self._driven)
             self._publish_alignment(camera, found.alignment.applied)
             self._publish_findings()
 

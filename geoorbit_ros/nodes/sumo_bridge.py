@@ -67,8 +67,9 @@ class SumoBridgeNode(GeoOrbitNode[SumoBridgeParameters]):
         scenario = self.forecaster.changed(p)
         self.runner = TwinRunner(network, start, cameras, p.step_s, p.hold_s, self._on_step)
         self.runner.set_scenario(scenario)
-        align, period_s = self.runner.set_alignment if p.align else None, p.map_check_period_s
-        self.map = MapValidator(self, network, cameras, p.frame_id, period_s, align)
+        moves = (self.runner.set_alignment, self.runner.follow) if p.align else (None, None)
+        period_s = p.map_check_period_s
+        self.map = MapValidator(self, network, cameras, p.frame_id, period_s, *moves)
         self.known, self.unusable = self.map.datums, dict[str, GeoOrbitError]()
         aligned = self.map.watch.alignments if p.align else {}
         self.pictures = SideBySide(

@@ -22,6 +22,7 @@ from scipy.special import ndtr
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.metrics.polyline import project
 from geoorbit_ros.twin.alignment import Alignment
+from geoorbit_ros.twin.driven_lanes import DrivenLane
 from geoorbit_ros.twin.findings import Finding, Unseen
 from geoorbit_ros.twin.network import RoadNetwork
 from geoorbit_ros.twin.overlay import Offsets, lanes_near, offsets, sample_lines
@@ -81,11 +82,13 @@ class Discrepancies:
         findings: In the order of certainty.
         unseen: Lanes of the network without enough traffic to judge them.
         compared: Lanes of the network that were compared, and over how many metres.
+        driven: Where those are driven whose edge has lanes out of place or of another width.
     """
 
     findings: tuple[Finding, ...]
     unseen: tuple[Unseen, ...]
     compared: Mapping[str, float]
+    driven: Mapping[str, DrivenLane]
 
 
 def compare(lanes: Sequence[Lane], network: RoadNetwork, alignment: Alignment) -> Discrepancies:
@@ -102,6 +105,7 @@ def compare(lanes: Sequence[Lane], network: RoadNetwork, alignment: Alignment) -
     beside = _Beside(lines, network, number)
     found: list[Finding] = []
     compared: dict[str, float] = {}
+    driven: dict[str, DrivenLane] = {}
     for k in sorted(set(partners.lane[partners.lane >= 0].tolist())):
         if network.internal[k]:
             continue
@@ -113,13 +117,21 @@ def compare(lanes: Sequence[Lane], network: RoadNetwork, alignment: Alignment) -
             continue
         compared[network.lane_id[k]] = length_m
         found += _of_pair(lanes[d], network, k, partners, at)
+        if np.median(partners.along[at]) > 0.0:
+            order = np.argsort(partners.arc_m[at])
+            wide = lanes[d].width_m if np.isfinite(lanes[d].width_m) else float(network.width_m[k])
+            driven[network.lane_id[k]] = DrivenLane(
+                partners.arc_m[at][order], partners.offset_m[at][order], wide
+            )
     for d, lane in enumerate(lanes):
         if lane.status == "confirmed":
             found += _missing(lane, d, network, beside, partners)
     extra, unseen = _extra(lanes, network, number, partners)
     found += extra
     found.sort(key=lambda f: -f.confidence)
-    return Discrepancies(tuple(found), tuple(unseen), compared)
+    wrong = {_edge(f.lane_id) for f in found if f.kind in ("shifted", "width")}
+    driven = {name: lane for name, lane in driven.items() if _edge(name) in wrong}
+    return Discrepancies(tuple(found), tuple(unseen), compared, driven)
 
 
 def find_partners(
@@ -237,6 +249,10 @@ def _of_pair(
             )
         )  # fmt: skip
     return found
+
+
+def _edge(lane_id: str) -> str:
+    return lane_id.rpartition("_")[0]
 
 
 def _other(side: str) -> str:

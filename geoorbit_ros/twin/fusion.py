@@ -2,7 +2,8 @@
 
 A track stays with its vehicle as long as it moves like one. A track that is new, or that jumped
 (trackers swap ids), is given to a vehicle that has no track of this camera and is where the track
-is: nearest pairs first for the whole step (Kuhn 1955, linear assignment). The rest enter.
+is: nearest pairs first for the whole step (Kuhn 1955, linear assignment). The rest enter; one that
+jumped to where nobody is, when it has settled (`jumps`).
 """
 
 from __future__ import annotations
@@ -16,16 +17,14 @@ from scipy.optimize import linear_sum_assignment
 
 from geoorbit_ros.twin.fleet import Fleet, usual_size
 from geoorbit_ros.twin.ghosts import GhostWatch
+from geoorbit_ros.twin.jumps import JUMP_ACROSS_M, JumpWatch, reach_along_m
 from geoorbit_ros.twin.vehicle_types import type_of_class
 
 Slots = NDArray[np.int64]
 OnRoad = Callable[[NDArray[np.float64]], NDArray[np.bool_]]
 
-JUMP_ALONG_M, JUMP_ACROSS_M = 4.0, 2.0
-"""From one step to the next no vehicle leaves its predicted place by more, but for its errors: a
-swap of ids moves a track to the next lane (3 m) or the next vehicle (6 m and more)."""
-GATE_ALONG_M, GATE_ACROSS_M = 4.0, 1.7
-"""Across, half a lane: the vehicle beside is another one."""
+GATE_ACROSS_M = 1.7
+"""Half a lane: the vehicle beside is another one."""
 GATE_TURN_RAD = np.radians(35.0)
 GATE_SPEED_MPS = 10.0
 DRIFT_MPS = 2.0
@@ -40,6 +39,7 @@ class FusionCounts:
 
     Attributes:
         jumps: Tracks that left their vehicle's place at once.
+        unsettled: Rows ignored because their track had just jumped to where no vehicle was.
         handovers: Tracks given to a vehicle that was there already.
         doubled: Rows ignored because they lay within another vehicle of their camera.
         merged: Vehicles found to be another one's double.
@@ -48,6 +48,7 @@ class FusionCounts:
     """
 
     jumps: int = 0
+    unsettled: int = 0
     handovers: int = 0
     doubled: int = 0
     merged: int = 0
@@ -70,6 +71,7 @@ class Fusion:
         self._bound: list[dict[int, int]] = [{} for _ in range(cameras)]
         self._near_s: dict[tuple[int, int], float] = {}
         self._ghosts = GhostWatch(fleet, cameras)
+        self._jumps = JumpWatch(cameras)
 
     def release(self, slot: Slots) -> None:
         """These vehicles are leaving: no track is theirs any more."""
@@ -83,6 +85,7 @@ class Fusion:
         """A camera's tracker started again: its numbers mean nothing any more."""
         self._bound[camera].clear()
         self._ghosts.forget(camera)
+        self._jumps.forget(camera)
 
     def update(self, time_ns: int, step_s: float, tables: Sequence[NDArray[np.void]]) -> Slots:
         """Move all vehicles to `time_ns`, by their tracks where they have one.
@@ -133,13 +136,14 @@ class Fusion:
         slot = np.array([bound.get(t, -1) for t in track], dtype=np.int64)
         held = np.flatnonzero(slot >= 0)
         along, across = self._apart(rows[held], slot[held])
-        slack = rows["sigma"][held]
-        jumped = np.abs(along) > JUMP_ALONG_M + 3.0 * slack
-        jumped |= np.abs(across) > JUMP_ACROSS_M + 0.5 * slack
+        sigma = rows["sigma"][held]
+        jumped = np.abs(along) > reach_along_m(sigma, self._fleet.table["sigma"][slot[held]])
+        jumped |= np.abs(across) > JUMP_ACROSS_M + 0.5 * sigma
         self.counts.jumps += int(np.count_nonzero(jumped))
         slot[held[jumped]] = -1
         for k in held[jumped].tolist():
             del bound[track[k]]
+            self._jumps.add(camera, track[k])
         free = np.flatnonzero(slot < 0)
         if len(free):
             taken = slot[slot >= 0]
@@ -150,6 +154,10 @@ class Fusion:
                 (slot[free] < 0) & self._doubles(rows[free], taken), -2, slot[free]
             )
             self.counts.doubled += int(np.count_nonzero(slot == -2))
+        alone = np.flatnonzero(slot < 0)
+        unsettled = self._jumps.unsettled(camera, rows[alone], time_ns)
+        self.counts.unsettled += int(np.count_nonzero(unsettled & (slot[alone] == -1)))
+        slot[alone[unsettled]] = -2
         return slot
 
     def _associate(self, rows: NDArray[np.void], taken: Slots, time_ns: int) -> Slots:
@@ -163,11 +171,10 @@ class Fusion:
         pair_slot = np.tile(able, len(rows))
         pairs, vehicles = rows[pair_row], table[pair_slot]
         along, across = self._apart(pairs, pair_slot)
-        sigma = np.hypot(pairs["sigma"], vehicles["sigma"])
         unseen_s = (time_ns - vehicles["seen_ns"]) * 1e-9
         turn = (pairs["heading"] - vehicles["course"] + np.pi) % (2 * np.pi) - np.pi
         speed = np.hypot(*(pairs["velocity"] - vehicles["velocity"]).T)
-        reach = GATE_ALONG_M + 2.0 * sigma + DRIFT_MPS * unseen_s
+        reach = reach_along_m(pairs["sigma"], vehicles["sigma"]) + DRIFT_MPS * unseen_s
         cost = (along / reach) ** 2 + (across / GATE_ACROSS_M) ** 2
         barred = (np.abs(along) > reach) | (np.abs(across) > GATE_ACROSS_M)
         barred |= np.abs(np.nan_to_num(turn)) > GATE_TURN_RAD

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
@@ -9,13 +10,15 @@ import numpy as np
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.lanes.geojson import parse_lane_file
 from geoorbit_ros.twin.alignment import Alignment
+from geoorbit_ros.twin.driven_lanes import DrivenLane, DrivenNetwork, as_driven, merged
 from geoorbit_ros.twin.network import RoadNetwork
 from geoorbit_ros.twin.validation import Validation, validate
 
 STEADY_M = 0.15
-"""An alignment in use stays while a new one differs by less: vehicles are not to tremble."""
+"""What is in use stays while something new differs by less: vehicles are not to tremble."""
 
 Checked = Validation | GeoOrbitError
+_Looked = tuple[int, Validation, DrivenNetwork | None]
 
 
 class MapWatch:
@@ -28,16 +31,20 @@ class MapWatch:
     Attributes:
         validations: The last of each camera.
         alignments: Those in use, by camera; a camera that fits the map has none.
+        driven: The network's lanes where they are driven, as all cameras see them; None until a
+            camera finds one out of place.
     """
 
     def __init__(self, network: RoadNetwork, period_s: float) -> None:
         self._network, self._period_ns = network, round(period_s * 1e9)
         self._worker = ThreadPoolExecutor(1, "map_watch")
         self._waiting: dict[str, str] = {}
-        self._running: tuple[str, Future[tuple[int, Validation] | None]] | None = None
+        self._running: tuple[str, Future[_Looked | None]] | None = None
         self._stamp_ns: dict[str, int] = {}
         self.validations: dict[str, Validation] = {}
         self.alignments: dict[str, Alignment] = {}
+        self.driven: DrivenNetwork | None = None
+        self._followed: Mapping[str, DrivenLane] = {}
 
     def offer(self, camera: str, text: str) -> None:
         """A camera's lane map as GeoJSON; of several that wait only the newest is looked at."""
@@ -50,15 +57,16 @@ class MapWatch:
             return []
         camera, job = self._running
         self._running = None
-        self._start()
         try:
             done = job.result()
         except GeoOrbitError as error:
+            self._start()
             return [(camera, error)]
-        if done is None:
-            return []
-        self._stamp_ns[camera], self.validations[camera] = done
-        return [(camera, done[1])]
+        if done is not None:
+            self._stamp_ns[camera], self.validations[camera], driven = done
+            self.driven = driven or self.driven
+        self._start()
+        return [] if done is None else [(camera, done[1])]
 
     def realigned(self, camera: str) -> Alignment | None:
         """The alignment to use from now on, None when it stays as it is."""
@@ -80,11 +88,24 @@ class MapWatch:
             text = self._waiting.pop(camera)
             self._running = (camera, self._worker.submit(self._look, camera, text))
 
-    def _look(self, camera: str, text: str) -> tuple[int, Validation] | None:
+    def _look(self, camera: str, text: str) -> _Looked | None:
         file = parse_lane_file(text, f"lanes of '{camera}'", self._network.datum)
         stamp_ns, last_ns = file.lane_map.stamp_ns, self._stamp_ns.get(camera)
         if last_ns is not None and 0 <= stamp_ns - last_ns < self._period_ns:
             return None
         if not file.lane_map.confirmed:
             return None
-        return stamp_ns, validate(file.lane_map.lanes, self._network)
+        found = validate(file.lane_map.lanes, self._network)
+        return stamp_ns, found, self._newly_driven(camera, found)
+
+    def _newly_driven(self, camera: str, found: Validation) -> DrivenNetwork | None:
+        """Where lanes are driven with what one camera has just found; None for as before."""
+        known = self.validations | {camera: found}
+        driven = merged(known[name].discrepancies.driven for name in sorted(known))
+        before = self._followed
+        if driven.keys() == before.keys() and all(
+            abs(lane.middle_m - before[name].middle_m) < STEADY_M for name, lane in driven.items()
+        ):
+            return None
+        self._followed = driven
+        return as_driven(self._network, driven)

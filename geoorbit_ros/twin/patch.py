@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.core.lanes import Lane
-from geoorbit_ros.metrics.polyline import offset_line, project
+from geoorbit_ros.metrics.polyline import project
 from geoorbit_ros.scenes.network import drop_header
+from geoorbit_ros.twin.driven_lanes import DrivenLane, moved_line, places_along
 from geoorbit_ros.twin.errors import RoadNetworkError
 from geoorbit_ros.twin.findings import Finding
 from geoorbit_ros.twin.network import RoadNetwork, load_network
@@ -28,9 +28,6 @@ from geoorbit_ros.twin.reproject import write_moved
 from geoorbit_ros.twin.validation import Validation, validate
 
 NETWORK, FOLDER = "network.net.xml", "patch"
-POINT_M = 5.0
-SMOOTH = 11
-"""Samples, 20 m: a patch follows the road, not the noise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,15 +163,12 @@ class _Editor:
 
     def _moved(self, k: int, seen_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Lane k's line, moved sideways to points seen (N, 2), in the network's coordinates."""
-        line, arc = self._network.line(k), self._network.arc(k)
-        at = np.unique(np.append(arc, np.arange(0.0, arc[-1], POINT_M)))
-        base = np.column_stack([np.interp(at, arc, line[:, j]) for j in range(2)])
-        foot = project(seen_m, line, 3.0)
+        foot = project(seen_m, self._network.line(k), 3.0)
         order = np.argsort(foot.arc_m)
-        offset = median_filter(foot.offset_m[order], SMOOTH, mode="nearest")
-        move = np.interp(at, foot.arc_m[order], offset)
-        unit = offset_line(base, 1.0) - base
-        return self._network.plane.to_network.points(base + move[:, None] * unit)
+        driven = DrivenLane(foot.arc_m[order], foot.offset_m[order], 0.0)
+        at = places_along(self._network, k)
+        line = moved_line(self._network, k, at, driven.left_at(at))
+        return self._network.plane.to_network.points(line)
 
 
 def _check(network: RoadNetwork, plain: PlainNetwork) -> None:

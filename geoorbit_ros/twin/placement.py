@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.twin.driven_lanes import DrivenNetwork
 from geoorbit_ros.twin.fleet import Fleet
+from geoorbit_ros.twin.lane_index import RADIUS_M
 from geoorbit_ros.twin.lane_walk import walk
 from geoorbit_ros.twin.network import NONE, RoadNetwork
 from geoorbit_ros.twin.simulation import Moves, Simulation, States
@@ -16,8 +18,9 @@ from geoorbit_ros.twin.vehicle_types import TYPES
 
 RESIZE_M = 0.5
 """A vehicle gets another length when its track's differs by this."""
-REACH_M = 3.0
-"""SUMO looks for the lane this much farther than where it should be."""
+REACH_M = 1.0
+"""SUMO looks for the lane this much farther than where it should be at most: where its front is
+half a length beside its middle."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +81,12 @@ class Placement:
     def __init__(self, network: RoadNetwork, fleet: Fleet, simulation: Simulation) -> None:
         self._network, self._fleet, self._simulation = network, fleet, simulation
         self._leaving: list[str] = []
+        self._moved_m = 0.0
         self.lost = 0
+
+    def follow(self, driven: DrivenNetwork) -> None:
+        """From now on lanes are where they are driven; the simulation's stay."""
+        self._network, self._moved_m = driven.network, driven.largest_m
 
     def replace(self, simulation: Simulation) -> None:
         """Go on with another simulation; all vehicles enter it with the next step."""
@@ -118,13 +126,18 @@ class Placement:
             arc_m / network.length_m[safe],
             plane.to_network.points(front),
             np.degrees(0.5 * np.pi - rows["course"] - turn) % 360.0,
-            np.abs(rows["offset"]) + REACH_M,
+            self._reach_m(rows),
             rows["within"] & (lane == rows["lane"]),
         )
         self._simulation.move(moves)
         self._simulation.step()
         states = self._simulation.states(names)
         return self._read(now_ns, slots, rows, lane, states, start_s)
+
+    def _reach_m(self, rows: NDArray[np.void]) -> NDArray[np.float64]:
+        """(M,) how far from the front bumper the simulation's lane may be."""
+        away_m = np.where(rows["within"], np.abs(rows["offset"]), RADIUS_M)
+        return np.asarray(away_m + 0.5 * rows["sim_length"] + self._moved_m + REACH_M)
 
     def _enter_and_resize(self, slots: NDArray[np.int64], names: list[str]) -> None:
         table = self._fleet.table

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.twin.alignment import Alignment
+from geoorbit_ros.twin.driven_lanes import DrivenNetwork
 from geoorbit_ros.twin.fusion import FusionCounts
 from geoorbit_ros.twin.health import HealthReport, HealthWindow
 from geoorbit_ros.twin.network import RoadNetwork
@@ -69,6 +70,7 @@ def replay_tracks(
     on_step: Callable[[TwinStep], None],
     step_s: float = STEP_S,
     hold_s: float = HOLD_S,
+    driven: DrivenNetwork | None = None,
 ) -> ReplayScore:
     """Run recorded tracks of one or more cameras through a simulation.
 
@@ -79,6 +81,7 @@ def replay_tracks(
         on_step: Called with each step.
         step_s: Length of a step.
         hold_s: How long a vehicle that no camera sees goes on.
+        driven: Where the network's lanes are driven; None where they are.
 
     Raises:
         SimulationError: SUMO is gone.
@@ -94,6 +97,8 @@ def replay_tracks(
 
     names = [stream.camera for stream in streams]
     twin = Synchronizer(network, simulation, names, step_s, hold_s, take)
+    if driven is not None:
+        twin.follow(driven)
     for stream in streams:
         twin.set_datum(stream.camera, stream.datum)
         if stream.alignment is not None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.twin.alignment import Alignment
+from geoorbit_ros.twin.driven_lanes import DrivenNetwork
 from geoorbit_ros.twin.errors import SimulationError
 from geoorbit_ros.twin.network import RoadNetwork
 from geoorbit_ros.twin.placement import TwinStep
@@ -74,6 +75,10 @@ class TwinRunner:
     def set_alignment(self, camera: str, alignment: Alignment) -> None:
         """Lay a camera's tracks on the network."""
         self.twin.set_alignment(camera, alignment)
+
+    def follow(self, driven: DrivenNetwork) -> None:
+        """Count vehicles to the lanes where those are driven."""
+        self.twin.follow(driven)
 
     def set_scenario(self, scenario: Scenario) -> None:
         """Close lanes and set limits, now and in every simulation that takes this one's place."""

@@ -92,6 +92,10 @@ def write_running_network(path: Path, out: Path) -> RunningNetwork:
     tree = parse_xml(path)
     root = tree.getroot()
     for element in root.iter():
+        if element.tag == "lane":
+            # moveToXY takes a lane's origId for its name: of a map from OSM that of the way.
+            for given in [p for p in element.findall("param") if p.get("key") == "origId"]:
+                element.remove(given)
         shape = element.get("shape")
         if shape and element.tag in ("lane", "edge"):
             words = shape.split()

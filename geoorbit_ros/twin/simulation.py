@@ -32,9 +32,12 @@ from geoorbit_ros.twin.sumo_process import (
 from geoorbit_ros.twin.vehicle_types import write_types
 
 Backend = Literal["libsumo", "traci"]
-_FREE_PLACE = 6
+_BESIDE_ROAD = 6
 """`keepRoute` of moveToXY: leave the route and the road (2), on lanes closed to the class (4)."""
-_SAME_EDGE = 7
+_NAMED_LANE = 4
+"""On the road: the lane that is named counts, however far beside its middle the vehicle is; with
+(2) it would count only half its width to either side."""
+_SAME_EDGE = 5
 """The same on the route (1), which is the edge the vehicle was last put on: no other is looked at,
 which takes half the time."""
 _ARRIVED = 2
@@ -63,13 +66,13 @@ class Moves:
 
     Attributes:
         name: SUMO's vehicle ids.
-        edge: Edge of each.
+        edge: Edge of each; empty beside the network.
         lane: (M,) lane index in the edge.
         share: (M,) place along the lane, as a share of its length.
         xy: (M, 2) middle of the front bumper.
         angle_deg: (M,) clockwise from north.
         reach_m: (M,) how far the lane may be away.
-        within: (M,) whether the vehicle is between its lane's borders, and so in no other.
+        within: (M,) whether the vehicle is between its lane's borders and ends.
     """
 
     name: Sequence[str]
@@ -241,8 +244,11 @@ class SumoSimulation:
     def move(self, moves: Moves) -> None:
         """Say where vehicles are at the end of the next step."""
         pieces = list(map(self.running.piece, moves.edge, moves.share.tolist()))
+        self._begin_routes(moves, pieces)
         stays = [
-            _SAME_EDGE if within and before == piece else _FREE_PLACE
+            _BESIDE_ROAD
+            if not piece
+            else (_SAME_EDGE if within and before == piece else _NAMED_LANE)
             for within, before, piece in zip(
                 moves.within.tolist(), map(self._piece_of.get, moves.name), pieces, strict=True
             )
@@ -259,6 +265,14 @@ class SumoSimulation:
         )
         with self._watched():
             deque(calls, maxlen=0)  # one call after the other, with nothing kept
+
+    def _begin_routes(self, moves: Moves, pieces: list[str]) -> None:
+        """Vehicles that enter get their edge as route: on it alone any lane named is theirs."""
+        for k, name in enumerate(moves.name):
+            if name not in self._piece_of and moves.within[k] and pieces[k][:1] not in ("", ":"):
+                with self._watched():
+                    self._vehicle.setRoute(name, [pieces[k]])
+                self._piece_of[name] = pieces[k]
 
     def step(self) -> None:
         """Simulate one step."""
@@ -387,6 +401,8 @@ _OPTIONS = (
     "--collision.check-junctions=false",
     "--ignore-route-errors=true",
     "--max-depart-delay=-1",
+    # Vehicles are where they are put, not in the middle of their lanes.
+    "--lateral-resolution=0",
     # SUMO's drivers have nothing to decide while vehicles are put in every step: half the cost.
     "--default.action-step-length=10",
 )

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.twin.alignment import Alignment
 from geoorbit_ros.twin.camera_tracks import CameraTracks
+from geoorbit_ros.twin.driven_lanes import DrivenNetwork
 from geoorbit_ros.twin.fleet import Fleet
 from geoorbit_ros.twin.fusion import Fusion
 from geoorbit_ros.twin.lane_walk import walk
@@ -80,6 +81,12 @@ class Synchronizer:
     def set_alignment(self, camera: str, alignment: Alignment) -> None:
         """Lay a camera's tracks on the network from the next frame on."""
         self._cameras[camera].alignment = alignment
+
+    def follow(self, driven: DrivenNetwork) -> None:
+        """Count vehicles to the lanes where those are driven, from the next step on."""
+        self._network = driven.network
+        self._matcher.follow(driven)
+        self.placement.follow(driven)
 
     def replace_simulation(self, simulation: Simulation) -> None:
         """Go on with another simulation, into which all vehicles enter with the next step."""
