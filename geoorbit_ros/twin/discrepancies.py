@@ -227,7 +227,7 @@ def _of_pair(
     shift = float(np.median(partners.offset_m[at]))
     sigma = lane.sigma_m if np.isfinite(lane.sigma_m) else SHIFT_M
     tolerance = float(np.hypot(SHIFT_M, SIGMAS * sigma))
-    if abs(shift) > tolerance:
+    if abs(shift) > tolerance and _all_along(network, k, partners, at, shift):
         side = "left" if shift > 0 else "right"
         text = f"{name} lies {abs(shift):.2f} m too far to the {_other(side)}"
         sure = lane.confidence * float(ndtr((abs(shift) - SHIFT_M) / max(sigma, 1e-3)))
@@ -249,6 +249,23 @@ def _of_pair(
             )
         )  # fmt: skip
     return found
+
+
+def _all_along(
+    network: RoadNetwork, k: int, partners: Partners, at: NDArray[np.bool_], shift_m: float
+) -> bool:
+    """Whether lane k is displaced all along, as far as that tells a displaced lane from another.
+
+    Of a lane that ends or begins beside others that go on, drivers come or go over most of it: its
+    traffic is beside its middle, but not all along. It must be so in every third of it.
+    """
+    group = [j for j, edge in enumerate(network.edge_id) if edge == network.edge_id[k]]
+    links = (network.successors, network.predecessors)
+    if not any(not link[k] and any(link[j] for j in group) for link in links):
+        return True
+    order = np.argsort(partners.arc_m[at])
+    thirds = np.array_split(partners.offset_m[at][order], 3)
+    return all(float(np.median(third)) * np.sign(shift_m) > SHIFT_M for third in thirds)
 
 
 def _edge(lane_id: str) -> str:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.twin.driven_lanes import DrivenNetwork
 from geoorbit_ros.twin.lane_index import CANDIDATES, Candidates, LaneIndex
-from geoorbit_ros.twin.lane_links import LANE_CHANGE, LaneLinks
+from geoorbit_ros.twin.lane_links import LaneLinks
 from geoorbit_ros.twin.network import NONE, RoadNetwork
 
 LATERAL_SIGMA_M = 0.7
@@ -36,11 +36,6 @@ FORGET = 12.0
 """Cost of the worst hypothesis that is kept: a lane that was ruled out can come back."""
 MARGIN = 0.4
 """A lane becomes the vehicle's when it beats the present one by this: hysteresis."""
-PLACES = 4
-MAX_EVIDENCE = (LANE_CHANGE + MARGIN) / PLACES
-"""One place speaks no louder against a lane that at least as many places have shown: a wrong box
-lasts up to three frames, and so fewer than four places, however far out, are no lane change. True
-ones cross the line slowly."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +75,6 @@ class LaneMatcher:
         # Whether `_cost` is that of staying among the same lanes, and so can be used again.
         self._steady = np.zeros(capacity, dtype=np.bool_)
         self._best = np.full(capacity, NONE, dtype=np.int64)
-        self._held = np.zeros(capacity, dtype=np.int64)  # how often in a row `_best` was the same
 
     def follow(self, driven: DrivenNetwork) -> None:
         """From now on lanes, under the same numbers, are where they are driven."""
@@ -92,7 +86,6 @@ class LaneMatcher:
         self._lane[slot] = NONE
         self._steady[slot] = False
         self._best[slot] = NONE
-        self._held[slot] = 0
 
     def on_road(self, xy: NDArray[np.float64]) -> NDArray[np.bool_]:
         """(M,) whether points (M, 2) are near enough to a lane to enter there."""
@@ -117,9 +110,7 @@ class LaneMatcher:
         """
         near = self._index.near(xy)
         present = near.lane != NONE
-        held = (near.lane == self._best[slot][:, None]) & present
-        sure = held & (self._held[slot] >= PLACES)[:, None]
-        score = _observation(near, heading_rad, sigma_m, sure)
+        score = _observation(near, heading_rad, sigma_m)
         known = (self._lane[slot] != NONE).any(axis=1)
         prior = self._prior(slot[known], near.lane[known])
         score[known] += prior
@@ -127,10 +118,10 @@ class LaneMatcher:
         score -= score.max(axis=1, keepdims=True)
         best = np.argmax(score, axis=1)
         rows = np.arange(len(slot))
-        stays = (held & (score > -MARGIN)).any(axis=1)
+        held = near.lane == self._best[slot][:, None]
+        stays = (held & (score > -MARGIN) & present).any(axis=1)
         best = np.where(stays, np.argmax(held, axis=1), best)
         lane = np.where(lost, NONE, near.lane[rows, best])
-        self._held[slot] = np.where(lane == self._best[slot], self._held[slot] + 1, 1)
         self._lane[slot], self._score[slot], self._best[slot] = near.lane, score, lane
         self._lane[slot[lost]] = NONE  # where it comes back, it begins anew
         offset = near.offset_m[rows, best]
@@ -164,23 +155,16 @@ class LaneMatcher:
         self._cost = np.concatenate([self._cost, np.zeros((more, CANDIDATES, CANDIDATES))])
         self._steady = np.append(self._steady, np.zeros(more, dtype=np.bool_))
         self._best = np.append(self._best, np.full(more, NONE))
-        self._held = np.append(self._held, np.zeros(more, dtype=np.int64))
 
 
 def _observation(
-    near: Candidates,
-    heading: NDArray[np.float64],
-    sigma_m: NDArray[np.float64],
-    sure: NDArray[np.bool_],
+    near: Candidates, heading: NDArray[np.float64], sigma_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """(M, C) log likelihoods; `sure` (M, C) marks lanes that vehicles have been in before."""
+    """(M, C) log likelihoods."""
     lateral = np.hypot(LATERAL_SIGMA_M, SIGMA_SHARE * sigma_m)[:, None]
     turn = heading[:, None] - near.heading_rad
     turn = np.nan_to_num((turn + np.pi) % (2 * np.pi) - np.pi)
-    score = np.where(near.lane == NONE, IMPOSSIBLE, -0.5 * (near.offset_m / lateral) ** 2)
-    floor = score.max(axis=1, keepdims=True) - MAX_EVIDENCE
-    score = np.where(sure, np.maximum(score, floor), score)
-    score -= 0.5 * (near.past_m / lateral) ** 2
+    score = -0.5 * (near.offset_m**2 + near.past_m**2) / lateral**2
     score -= 0.5 * (turn / HEADING_SIGMA_RAD) ** 2
     score[(np.abs(turn) > MAX_TURN_RAD) | (near.lane == NONE)] = IMPOSSIBLE
     return np.asarray(score, dtype=np.float64)

@@ -35,11 +35,11 @@ Backend = Literal["libsumo", "traci"]
 _BESIDE_ROAD = 6
 """`keepRoute` of moveToXY: leave the route and the road (2), on lanes closed to the class (4)."""
 _NAMED_LANE = 4
-"""On the road: the lane that is named counts, however far beside its middle the vehicle is; with
-(2) it would count only half its width to either side."""
+"""On the road: the lane that is named counts, up to 2 m beside its middle; with (2) it would count
+only half its width to either side."""
 _SAME_EDGE = 5
 """The same on the route (1), which is the edge the vehicle was last put on: no other is looked at,
-which takes half the time."""
+which takes half the time, and the lane that is named counts however far it is."""
 _ARRIVED = 2
 """Reason of removal: the vehicle reached its destination (traci.constants.REMOVE_ARRIVED)."""
 

@@ -11,6 +11,7 @@ from made_twin import made_network
 
 from geoorbit_ros.core.errors import NoTrafficError
 from geoorbit_ros.core.lanes import Lane
+from geoorbit_ros.metrics.polyline import offset_line
 from geoorbit_ros.twin.alignment import align
 from geoorbit_ros.twin.errors import RoadNetworkError
 from geoorbit_ros.twin.map_errors import SHIFT_M, WIDTH_M, Error, plant
@@ -160,3 +161,24 @@ def test_without_confirmed_lanes_or_elsewhere_one_sentence(
         validate([replace(lanes[0], status="tentative")], network)
     with pytest.raises(RoadNetworkError, match=r"nearest is \d+ m away"):
         validate(moved(lanes, (5000.0, 0.0)), network)
+
+
+def test_traffic_that_leaves_a_lane_that_ends_does_not_displace_it(
+    network: RoadNetwork, lanes: list[Lane]
+) -> None:
+    """It is a finding where the lane goes on, and where the lane is out of place all along."""
+    k = network.number["west_0"]
+    ends = tuple(() if j == k else nexts or (k,) for j, nexts in enumerate(network.successors))
+    ending = replace(network, successors=ends)
+    at = next(i for i, each in enumerate(lanes) if each.lane_id == 4)
+    line = lanes[at].centerline_m
+    unit = offset_line(line, 1.0) - line
+    for move in (np.linspace(0.0, 1.6, len(line)), np.full(len(line), 0.8)):
+        seen = list(lanes)
+        seen[at] = replace(seen[at], centerline_m=line + move[:, None] * unit)
+        on, off = (
+            [f.lane_id for f in validate(seen, each).findings if f.kind == "shifted"]
+            for each in (network, ending)
+        )
+        assert on == ["west_0"]
+        assert off == (["west_0"] if np.ptp(move) == 0.0 else [])

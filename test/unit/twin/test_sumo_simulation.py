@@ -1,8 +1,10 @@
 """SUMO itself: vehicles are exactly where they are put, in lanes called as in the file."""
 
 import os
+import re
 import signal
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -94,6 +96,30 @@ def test_vehicles_are_where_they_are_put(simulation: SumoSimulation, net: Path) 
     states = simulation.states(names)
     assert np.isnan(states.xy[0]).all()
     assert states.lane == ["", *lanes[1:]]
+
+
+def test_the_lane_that_is_named_counts_beyond_its_borders(net: Path, tmp_path: Path) -> None:
+    """Also in a map whose lanes have names of their own, as netconvert gives them from OSM."""
+    text = net.read_text(encoding="utf-8")
+    lane = re.compile(r"(<lane [^>]*?)/>")
+    named = tmp_path / "named.net.xml"
+    given = r'\1><param key="origId" value="77"/></lane>'
+    named.write_text(lane.sub(given, text), encoding="utf-8")
+    assert named.read_text(encoding="utf-8") != text
+    network, lanes = load_network(named, DATUM), ["east_0", "east_1", "west_0"]
+    simulation = SumoSimulation(named, 0.1)
+    try:
+        for name in lanes:
+            simulation.add(f"v{name}", "car", 4.6, 1.8)
+        for k in range(20):
+            wanted = moves(network, lanes, 20.0 + 2.5 * k, 2.6)
+            simulation.move(replace(wanted, reach_m=np.full(len(lanes), 6.0)))
+            simulation.step()
+            states = simulation.states(wanted.name)
+            assert states.lane == lanes
+            assert np.abs(states.xy - wanted.xy).max() < 1e-9
+    finally:
+        simulation.close()
 
 
 def test_vehicles_beside_the_road_and_over_each_other_stay(

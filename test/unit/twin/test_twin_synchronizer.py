@@ -8,6 +8,7 @@ from made_twin import DATUM, START_NS, STEP_NS, FakeSimulation, Steps, made_netw
 
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.twin.errors import SimulationError
+from geoorbit_ros.twin.jumps import SETTLE_S
 from geoorbit_ros.twin.network import RoadNetwork, load_network
 from geoorbit_ros.twin.runner import RETRY_S, TwinRunner
 from geoorbit_ros.twin.simulation import Simulation
@@ -122,6 +123,34 @@ def test_a_track_that_jumps_leaves_and_enters(network: RoadNetwork) -> None:
     assert twin.simulation.entered == ["v1", "v2"]
     assert twin.simulation.left == ["v1"]
     assert twin.sync.fusion.counts.jumps == 1
+
+
+@pytest.mark.parametrize("false", [{15}, {15, 17}, {15, 16}])
+def test_a_false_box_in_place_of_a_vehicle_makes_no_other(
+    network: RoadNetwork, false: set[int]
+) -> None:
+    """For single frames the track has a box that stands 15 m ahead, beside another vehicle."""
+    twin = Twin(network)
+    for k in range(40):
+        x = 50.0 + 2.0 * k
+        twin.see(k, (7, 95.0 if k in false else x, EAST[1]), (8, x + 14.0, EAST[1] + 1.0))
+    assert twin.simulation.entered == ["v1", "v2"]
+    assert twin.simulation.left == []
+    assert np.abs(twin.steps.of(1)[:, 0] - (50.0 + 2.0 * np.arange(40))).max() < 0.01
+    seen = {k for k, step in enumerate(twin.steps) if not step.observed[0]}
+    assert seen == false
+    assert twin.sync.fusion.counts.unsettled + twin.sync.fusion.counts.doubled == len(false)
+
+
+def test_a_track_that_stays_where_it_jumped_to_enters_once_it_has_settled(
+    network: RoadNetwork,
+) -> None:
+    twin = Twin(network)
+    for k in range(40):
+        twin.see(k, (7, (50.0 if k < 15 else 120.0) + 2.0 * k, EAST[1]))
+    first = next(k for k, step in enumerate(twin.steps) if 2 in step.vehicle_id)
+    assert first == 15 + round(SETTLE_S * 10)
+    assert np.abs(twin.steps.of(2)[0, 0] - (120.0 + 2.0 * first)) < 1e-3
 
 
 def test_a_track_with_a_new_id_is_the_same_vehicle(network: RoadNetwork) -> None:
