@@ -10,7 +10,7 @@ from made_twin import DATUM, START_NS, STEP_NS, FakeSimulation, Steps, made_netw
 from geoorbit_ros.core.lanes import Lane, LaneMap
 from geoorbit_ros.lanes.geojson import dumps_lanes
 from geoorbit_ros.metrics.polyline import offset_line, project
-from geoorbit_ros.twin.driven_lanes import DrivenLane, as_driven, merged
+from geoorbit_ros.twin.driven_lanes import DrivenLane, DrivenNetwork, as_driven, merged
 from geoorbit_ros.twin.map_watch import MapWatch
 from geoorbit_ros.twin.network import RoadNetwork, load_network
 from geoorbit_ros.twin.synchronizer import Synchronizer
@@ -98,21 +98,19 @@ def test_the_watch_moves_lanes_once_and_back(network: RoadNetwork) -> None:
     lanes = detected(network)
     watch = MapWatch(network, 1.0)
 
-    def look(seen: list[Lane], stamp_s: int) -> None:
+    def look(seen: list[Lane], stamp_s: int) -> DrivenNetwork | None:
         watch.offer("north", dumps_lanes(LaneMap(stamp_s * 10**9, tuple(seen)), DATUM))
         assert watch._running is not None
         watch._running[1].result()
         assert len(watch.collect()) == 1
+        return watch.driven
 
-    look(lanes, 1)
-    assert watch.driven is None
-    look(displaced(lanes, 1.0, (4, 5)), 5)
-    first = watch.driven
+    assert look(lanes, 1) is None
+    first = look(displaced(lanes, 1.0, (4, 5)), 5)
     assert first is not None
     assert beside(network, first.network, "west_0") == pytest.approx(1.0, abs=0.25)
-    look(displaced(lanes, 1.05, (4, 5)), 9)
-    assert watch.driven is first
-    look(lanes, 13)
-    assert watch.driven is not None
-    assert watch.driven.largest_m == 0.0
+    assert look(displaced(lanes, 1.05, (4, 5)), 9) is first
+    last = look(lanes, 13)
+    assert last is not None
+    assert last.largest_m == 0.0
     watch.close()
