@@ -133,7 +133,9 @@ def test_tracks_that_jump_or_are_no_numbers(nodes: Composition, net: Path) -> No
         send(START_NS + k * STEP_NS, table)
     probe.until(lambda: node.runner.twin.steps == len(wild), "the twin")
     assert node.diagnostics.refused == 0
-    assert node.runner.twin.fusion.counts.jumps >= 3
+    counts = node.runner.twin.fusion.counts
+    assert counts.jumps >= 1
+    assert counts.jumps + counts.unsettled >= 3  # who jumps again before it settled was nowhere
     simulation = node.runner.simulation
     assert simulation is not None
     front = 50.0 + 2.0 * 9 + 2.3
