@@ -3,7 +3,8 @@
 A track stays with its vehicle as long as it moves like one. A track that is new, or that jumped
 (trackers swap ids), is given to a vehicle that has no track of this camera and is where the track
 is: nearest pairs first for the whole step (Kuhn 1955, linear assignment). The rest enter; one that
-jumped to where nobody is, when it has settled (`jumps`).
+jumped to where nobody is, or begins where another track's vehicle may be, when it has settled
+(`jumps`).
 """
 
 from __future__ import annotations
@@ -39,7 +40,8 @@ class FusionCounts:
 
     Attributes:
         jumps: Tracks that left their vehicle's place at once.
-        unsettled: Rows ignored because their track had just jumped to where no vehicle was.
+        unsettled: Rows ignored because their track had just jumped to where no vehicle was, or just
+            begun where one may be that another track of the same camera has.
         handovers: Tracks given to a vehicle that was there already.
         doubled: Rows ignored because they lay within another vehicle of their camera.
         merged: Vehicles found to be another one's double.
@@ -135,10 +137,7 @@ class Fusion:
         bound, track = self._bound[camera], rows["track_id"].tolist()
         slot = np.array([bound.get(t, -1) for t in track], dtype=np.int64)
         held = np.flatnonzero(slot >= 0)
-        along, across = self._apart(rows[held], slot[held])
-        sigma = rows["sigma"][held]
-        jumped = np.abs(along) > reach_along_m(sigma, self._fleet.table["sigma"][slot[held]])
-        jumped |= np.abs(across) > JUMP_ACROSS_M + 0.5 * sigma
+        jumped = ~self._may_be(rows[held], slot[held])
         self.counts.jumps += int(np.count_nonzero(jumped))
         slot[held[jumped]] = -1
         for k in held[jumped].tolist():
@@ -150,10 +149,11 @@ class Fusion:
             slot[free] = self._associate(rows[free], taken, time_ns)
             self.counts.handovers += int(np.count_nonzero(slot[free] >= 0))
             bound.update((track[k], int(slot[k])) for k in free.tolist() if slot[k] >= 0)
-            slot[free] = np.where(
-                (slot[free] < 0) & self._doubles(rows[free], taken), -2, slot[free]
-            )
-            self.counts.doubled += int(np.count_nonzero(slot == -2))
+            alone = free[slot[free] < 0]
+            within, beside = self._by_vehicles(rows[alone], taken)
+            slot[alone[within]] = -2
+            self.counts.doubled += int(np.count_nonzero(within))
+            self._jumps.add_new(camera, rows["track_id"][alone[beside & ~within]].tolist())
         alone = np.flatnonzero(slot < 0)
         unsettled = self._jumps.unsettled(camera, rows[alone], time_ns)
         self.counts.unsettled += int(np.count_nonzero(unsettled & (slot[alone] == -1)))
@@ -186,16 +186,36 @@ class Fusion:
         found[r[good]] = able[v[good]]
         return found
 
-    def _doubles(self, rows: NDArray[np.void], taken: Slots) -> NDArray[np.bool_]:
-        """Whether rows lie within a vehicle that another track of the same camera has."""
-        if not len(taken):
-            return np.zeros(len(rows), dtype=np.bool_)
-        slot = np.tile(taken, len(rows))
-        along, across = self._apart(rows[np.repeat(np.arange(len(rows)), len(taken))], slot)
+    def _by_vehicles(
+        self, rows: NDArray[np.void], taken: Slots
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Of rows (R,), which lie within a vehicle that another track of this camera has.
+
+        And which lie where such a vehicle may be.
+        """
+        within, beside = np.zeros((2, len(rows)), dtype=np.bool_)
+        if not len(rows) or not len(taken):
+            return within, beside
         table = self._fleet.table
+        sigma = rows["sigma"].max(keepdims=True)
+        reach_m = reach_along_m(sigma, table["sigma"][taken].max()) + JUMP_ACROSS_M + 0.5 * sigma
+        reach_m = np.maximum(reach_m, 0.5 * table["length"][taken].max() + JUMP_ACROSS_M)
+        gap = rows["xy"][:, None] - table["xy"][taken][None]
+        row, at = np.nonzero((np.abs(gap) < reach_m).all(axis=2))  # few of them are near
+        slot = taken[at]
+        along, across = self._apart(rows[row], slot)
         inside = np.abs(along) < 0.5 * table["length"][slot]
         inside &= np.abs(across) < 0.5 * table["width"][slot]
-        return np.asarray(inside.reshape(len(rows), -1).any(axis=1))
+        within[row[inside]] = True
+        beside[row[self._may_be(rows[row], slot)]] = True
+        return within, beside
+
+    def _may_be(self, rows: NDArray[np.void], slot: Slots) -> NDArray[np.bool_]:
+        """Whether rows (M,) are as near to vehicles (M,) as their own tracks would be."""
+        along, across = self._apart(rows, slot)
+        sigma = rows["sigma"]
+        near = np.abs(along) <= reach_along_m(sigma, self._fleet.table["sigma"][slot])
+        return np.asarray(near & (np.abs(across) <= JUMP_ACROSS_M + 0.5 * sigma))
 
     def _apart(
         self, rows: NDArray[np.void], slot: Slots

@@ -1,19 +1,21 @@
-"""Tracks that have just jumped: a vehicle, or a false box that a tracker took for its vehicle.
+"""Tracks that have just jumped, or begun beside a vehicle: a vehicle, or a false box.
 
 The steps that follow tell. A vehicle moves on with the speed that its track says; a track that took
-a false box for a moment jumps back. Until then it moves nothing.
+a false box for a moment jumps back. A track that begins where a vehicle may be that another track
+has is often that vehicle's second box, and ends after some frames. Until then it moves nothing.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 SETTLE_S = 0.3
-"""A track that has moved as it says for so long after a jump follows something: false boxes come in
-single frames, three of which in a row are rare."""
+"""A track that has moved as it says for so long follows something: false boxes come in single
+frames, three of which in a row are rare."""
 JUMP_ALONG_M, JUMP_ACROSS_M = 4.0, 2.0
 """From one step to the next no vehicle leaves its predicted place by more, but for its errors: a
 swap of ids moves a track to the next lane (3 m) or the next vehicle (6 m and more)."""
@@ -39,7 +41,7 @@ class _Path:
 
 
 class JumpWatch:
-    """Remembers which tracks have jumped and not settled yet.
+    """Remembers which tracks have jumped, or begun beside a vehicle, and not settled yet.
 
     Args:
         cameras: How many there are.
@@ -55,6 +57,11 @@ class JumpWatch:
     def add(self, camera: int, track: int) -> None:
         """A track has jumped, or jumped again."""
         self._paths[camera][track] = None
+
+    def add_new(self, camera: int, tracks: Iterable[int]) -> None:
+        """Tracks without a vehicle are where one may be; those remembered go on settling."""
+        for track in tracks:
+            self._paths[camera].setdefault(track, None)
 
     def unsettled(self, camera: int, rows: NDArray[np.void], time_ns: int) -> NDArray[np.bool_]:
         """Which rows (R,), all that no vehicle has, are of tracks that have not settled yet.

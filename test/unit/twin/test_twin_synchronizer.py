@@ -213,6 +213,30 @@ def test_a_doubled_track_makes_no_second_vehicle(network: RoadNetwork) -> None:
     assert twin.sync.fusion.counts.doubled == 14
 
 
+@pytest.mark.parametrize(("frames", "entered"), [(2, ["v1"]), (20, ["v1", "v2"])])
+def test_a_track_that_begins_close_to_a_vehicle_must_last(
+    network: RoadNetwork, frames: int, entered: list[str]
+) -> None:
+    """A second box of the vehicle ends soon; a vehicle close behind stays, and then enters."""
+    twin = Twin(network)
+    for k in range(40):
+        x = 50.0 + 2.0 * k
+        beside = [(8, x - 3.6, EAST[1] + 1.0)] if 10 <= k < 10 + frames else []
+        twin.see(k, (7, x, EAST[1]), *beside)
+    assert twin.simulation.entered == entered
+    assert twin.sync.fusion.counts.unsettled == min(frames, round(SETTLE_S * 10))
+    assert np.abs(twin.steps.of(1)[:, 0] - (50.0 + 2.0 * np.arange(40))).max() < 0.01
+
+
+def test_a_track_that_begins_in_the_next_lane_is_a_vehicle_at_once(network: RoadNetwork) -> None:
+    twin = Twin(network)
+    for k in range(20):
+        x = 50.0 + 2.0 * k
+        twin.see(k, (7, x, EAST[1]), *([(8, x, EAST[2])] if k >= 10 else []))
+    assert twin.simulation.entered == ["v1", "v2"]
+    assert twin.sync.fusion.counts.unsettled == 0
+
+
 def test_what_stands_beside_the_road_stays_out(network: RoadNetwork) -> None:
     twin = Twin(network)
     for k in range(10):
