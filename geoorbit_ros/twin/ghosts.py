@@ -21,6 +21,9 @@ BRAKES_S = 0.4
 STANDS_M, STANDS_S = 6.0, 2.0
 """What has not moved by more for so long stands."""
 THROUGH_ALONG_M, THROUGH_ACROSS_M = 1.5, 1.0
+GRAZES = 3
+"""So many different vehicles that overlap a standing one by more than both errors drive through it:
+a false box beside the middle of a lane. One alone may be a mistake in its size."""
 THROUGH_MPS = 4.0
 """Who drives through another one is faster than vehicles that close up in a queue."""
 MAX_SIGMA_M = 2.0
@@ -39,6 +42,7 @@ class GhostWatch:
     def __init__(self, fleet: Fleet, cameras: int) -> None:
         self._fleet = fleet
         self._places: list[dict[int, NDArray[np.float64]]] = [{} for _ in range(cameras)]
+        self._grazed: dict[int, set[int]] = {}  # by standing vehicle: who drove over its side
 
     def forget(self, camera: int) -> None:
         """A camera's tracker started again."""
@@ -98,5 +102,26 @@ class GhostWatch:
         along = gap[..., 0] * cos + gap[..., 1] * sin
         across = gap[..., 1] * cos - gap[..., 0] * sin
         inside = (np.abs(along) < THROUGH_ALONG_M) & (np.abs(across) < THROUGH_ACROSS_M)
-        flag[still] = inside.any(axis=1)
+        flag[still] = inside.any(axis=1) | self._grazes(seen[still], seen[moving], along, across)
         return flag
+
+    def _grazes(
+        self,
+        still: NDArray[np.int64],
+        moving: NDArray[np.int64],
+        along: NDArray[np.float64],
+        across: NDArray[np.float64],
+    ) -> NDArray[np.bool_]:
+        """Which standing vehicles (S,) too many of moving ones (M,) overlap; gaps are (S, M)."""
+        table = self._fleet.table
+        error = np.hypot(table["sigma"][still][:, None], table["sigma"][moving])
+        side, end = (
+            0.5 * (table[size][still][:, None] + table[size][moving]) - error
+            for size in ("width", "length")
+        )
+        for s, m in np.argwhere((np.abs(across) < side) & (np.abs(along) < end)).tolist():
+            vehicle = int(table["vehicle_id"][still[s]])
+            self._grazed.setdefault(vehicle, set()).add(int(table["vehicle_id"][moving[m]]))
+        standing = table["vehicle_id"][still].tolist()
+        self._grazed = {v: self._grazed[v] for v in standing if v in self._grazed}
+        return np.array([len(self._grazed.get(v, ())) >= GRAZES for v in standing])

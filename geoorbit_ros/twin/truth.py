@@ -17,6 +17,9 @@ CROSSING_S = 1.0
 SUMO's change of `traffic.LANE_CHANGE_S` moves it by a lane's width in four seconds."""
 ALONG_M, ACROSS_M = 6.0, 1.7
 """Nearer than this, a vehicle of the twin is a true one's; otherwise it is a false track."""
+PASSES_MPS = 10.0
+"""Who moves otherwise than a true vehicle by this is not its double: it stands where that one
+drives by, and is false."""
 
 
 @dataclass(slots=True)
@@ -29,7 +32,7 @@ class LaneScore:
         crossing_right: In the true lane within `CROSSING_S` of a true lane change.
         crossing_wrong: In another lane then.
         false_tracks: Of vehicles that are nobody's.
-        doubled: Of vehicles beyond the first that are the same true one's.
+        doubled: Of vehicles beyond the first that are the same true one's, and move as it does.
     """
 
     right: int = 0
@@ -83,7 +86,10 @@ class LaneTruth:
         nearest = np.argmin(distance, axis=1)
         known = distance[np.arange(len(seen)), nearest] < 1.0
         self.score.false_tracks += int(np.count_nonzero(~known))
-        self.score.doubled += int(np.count_nonzero(known)) - len(np.unique(nearest[known]))
+        way = np.column_stack((np.cos(heading), np.sin(heading)))
+        velocity = (record.speed[now][:, None] * way)[nearest]
+        along_with = known & (np.hypot(*(step.velocity[seen] - velocity).T) < PASSES_MPS)
+        self.score.doubled += int(along_with.sum()) - len(np.unique(nearest[along_with]))
         true_lane = self._lane[record.lane[now]][nearest[known]]
         lane = step.lane[seen[known]]
         inside = (lane != NONE) & self._network.internal[np.maximum(lane, 0)]

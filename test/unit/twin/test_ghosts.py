@@ -16,13 +16,15 @@ def network(tmp_path_factory: pytest.TempPathFactory) -> RoadNetwork:
 
 
 def drive(
-    network: RoadNetwork, frames: list[list[tuple[int, float, float]]]
+    network: RoadNetwork,
+    frames: list[list[tuple[int, float, float]]],
+    beside_m: float = 0.0,
 ) -> tuple[Synchronizer, Steps]:
-    """Frames of (track, x, speed) through a twin."""
+    """Frames of (track, x, speed) through a twin; track 1 is to the left of the others."""
     steps = Steps()
     twin = Synchronizer(network, FakeSimulation(), ["north"], 0.1, 1.5, steps.append)
     for k, frame in enumerate(frames):
-        table = rows([(track, x, LANE_Y) for track, x, _ in frame])
+        table = rows([(track, x, LANE_Y + beside_m * (track == 1)) for track, x, _ in frame])
         table["vx"] = [speed for *_, speed in frame]
         twin.add("north", START_NS + k * STEP_NS, table)
     return twin, steps
@@ -54,6 +56,19 @@ def test_what_others_drive_through_is_no_vehicle(network: RoadNetwork) -> None:
     assert twin.fusion.counts.ghosts == 1
     assert len(steps[29].observed) == 1
     assert np.count_nonzero(steps[-1].observed) == 1
+
+
+@pytest.mark.parametrize(
+    ("beside_m", "vehicles", "ghosts"), [(1.2, 2, 0), (1.2, 3, 1), (2.0, 5, 0)]
+)
+def test_what_many_vehicles_overlap_is_no_vehicle(
+    network: RoadNetwork, beside_m: float, vehicles: int, ghosts: int
+) -> None:
+    frames = [[(1, 100.0, 0.0)] for _ in range(30)]
+    for track in range(2, 2 + vehicles):
+        frames += [[(1, 100.0, 0.0), (track, 60.0 + 2.0 * k, 20.0)] for k in range(40)]
+    twin, _ = drive(network, frames, beside_m)
+    assert twin.fusion.counts.ghosts == ghosts
 
 
 def test_a_queue_stays(network: RoadNetwork) -> None:
