@@ -4,16 +4,17 @@ States are the lanes near the vehicle. The observation is its distance from the 
 its heading against the lane's; transitions follow the network: staying and driving on are free,
 a lane change costs, a jump costs much (Newson and Krumm 2009, "Hidden Markov map matching through
 noise and sparseness", here with lanes in place of roads, and as a filter: no later observation is
-waited for).
+waited for). The distance changes no faster than a vehicle can cross the road (`crossing`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.twin.crossing import CrossingLimit
 from geoorbit_ros.twin.driven_lanes import DrivenNetwork
 from geoorbit_ros.twin.lane_index import CANDIDATES, Candidates, LaneIndex
 from geoorbit_ros.twin.lane_links import LaneLinks
@@ -34,8 +35,6 @@ END_SLACK_M = 1.0
 IMPOSSIBLE = -1e6
 FORGET = 12.0
 """Cost of the worst hypothesis that is kept: a lane that was ruled out can come back."""
-MARGIN = 0.4
-"""A lane becomes the vehicle's when it beats the present one by this: hysteresis."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,19 +61,20 @@ class LaneMatcher:
 
     Args:
         network: Whose lanes.
+        step_s: Time between two updates.
         capacity: Vehicles that can be remembered at first; it grows by itself.
     """
 
-    def __init__(self, network: RoadNetwork, capacity: int = 64) -> None:
+    def __init__(self, network: RoadNetwork, step_s: float = 0.1, capacity: int = 64) -> None:
         self._index = LaneIndex(network)
         self._links = LaneLinks(network)
         self._half_m = 0.5 * network.width_m
+        self._step_s, self._crossing = step_s, CrossingLimit(capacity)
         self._lane = np.full((capacity, CANDIDATES), NONE, dtype=np.int64)
         self._score = np.zeros((capacity, CANDIDATES))
         self._cost = np.zeros((capacity, CANDIDATES, CANDIDATES))
         # Whether `_cost` is that of staying among the same lanes, and so can be used again.
         self._steady = np.zeros(capacity, dtype=np.bool_)
-        self._best = np.full(capacity, NONE, dtype=np.int64)
 
     def follow(self, driven: DrivenNetwork) -> None:
         """From now on lanes, under the same numbers, are where they are driven."""
@@ -85,7 +85,7 @@ class LaneMatcher:
         self._reserve(int(slot.max(initial=-1)) + 1)
         self._lane[slot] = NONE
         self._steady[slot] = False
-        self._best[slot] = NONE
+        self._crossing.forget(slot)
 
     def on_road(self, xy: NDArray[np.float64]) -> NDArray[np.bool_]:
         """(M,) whether points (M, 2) are near enough to a lane to enter there."""
@@ -99,6 +99,7 @@ class LaneMatcher:
         xy: NDArray[np.float64],
         heading_rad: NDArray[np.float64],
         sigma_m: NDArray[np.float64],
+        observed: NDArray[np.bool_] | None = None,
     ) -> Matches:
         """Observe vehicles once.
 
@@ -107,10 +108,13 @@ class LaneMatcher:
             xy: (M, 2) map frame.
             heading_rad: (M,) NaN where not known.
             sigma_m: (M,) 1-sigma ground errors.
+            observed: (M,) whether a camera sees them now; all, if not given.
         """
         near = self._index.near(xy)
-        present = near.lane != NONE
-        score = _observation(near, heading_rad, sigma_m)
+        seen = np.ones(len(slot), dtype=np.bool_) if observed is None else observed
+        excess = self._crossing.excess(slot, xy, near.heading_rad, seen, self._step_s)
+        possible = replace(near, offset_m=near.offset_m - excess)
+        score = _observation(possible, heading_rad, sigma_m)
         known = (self._lane[slot] != NONE).any(axis=1)
         prior = self._prior(slot[known], near.lane[known])
         score[known] += prior
@@ -118,12 +122,10 @@ class LaneMatcher:
         score -= score.max(axis=1, keepdims=True)
         best = np.argmax(score, axis=1)
         rows = np.arange(len(slot))
-        held = near.lane == self._best[slot][:, None]
-        stays = (held & (score > -MARGIN) & present).any(axis=1)
-        best = np.where(stays, np.argmax(held, axis=1), best)
         lane = np.where(lost, NONE, near.lane[rows, best])
-        self._lane[slot], self._score[slot], self._best[slot] = near.lane, score, lane
+        self._lane[slot], self._score[slot] = near.lane, score
         self._lane[slot[lost]] = NONE  # where it comes back, it begins anew
+        self._crossing.keep(slot, xy, near.heading_rad[rows, best], excess[rows, best])
         offset = near.offset_m[rows, best]
         within = ~lost & (np.abs(offset) <= self._half_m[lane])
         return Matches(
@@ -147,14 +149,14 @@ class LaneMatcher:
         )
 
     def _reserve(self, capacity: int) -> None:
-        more = max(capacity, 2 * len(self._best)) - len(self._best)
-        if capacity <= len(self._best):
+        more = max(capacity, 2 * len(self._steady)) - len(self._steady)
+        if capacity <= len(self._steady):
             return
         self._lane = np.concatenate([self._lane, np.full((more, CANDIDATES), NONE)])
         self._score = np.concatenate([self._score, np.zeros((more, CANDIDATES))])
         self._cost = np.concatenate([self._cost, np.zeros((more, CANDIDATES, CANDIDATES))])
         self._steady = np.append(self._steady, np.zeros(more, dtype=np.bool_))
-        self._best = np.append(self._best, np.full(more, NONE))
+        self._crossing.reserve(len(self._steady))
 
 
 def _observation(

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.twin.alignment import Alignment
 from geoorbit_ros.twin.camera_tracks import CameraTracks
+from geoorbit_ros.twin.crossing import MAX_ACROSS_MPS
 from geoorbit_ros.twin.driven_lanes import DrivenNetwork
 from geoorbit_ros.twin.fleet import Fleet
 from geoorbit_ros.twin.fusion import Fusion
@@ -28,8 +29,6 @@ MAX_WAIT_S = 0.2
 """A camera that is more behind the newest one is not waited for: two frames at 10 Hz."""
 MIN_SPEED_MPS = 0.2
 """Slower, a vehicle's velocity has no direction worth following."""
-MAX_ACROSS_MPS = 2.5
-"""A lane change in two seconds reaches 2.5 m/s half-way, three times the usual."""
 LANE_TURN_RAD = np.radians(4.0)
 """A lane's own direction is known to this, being drawn in straight pieces."""
 MAX_GAP_S = 30.0
@@ -67,7 +66,7 @@ class Synchronizer:
         self._step_ns, self._hold_ns = round(step_s * 1e9), round(hold_s * 1e9)
         self._cameras = {c: CameraTracks(c, hold_s, network.datum) for c in cameras}
         self._order = {c: k for k, c in enumerate(cameras)}
-        self._matcher = LaneMatcher(network)
+        self._matcher = LaneMatcher(network, step_s)
         self._now_ns: int | None = None
         self.fleet = Fleet()
         self.placement = Placement(network, self.fleet, simulation)
@@ -140,7 +139,7 @@ class Synchronizer:
         self._coast(unseen[table["active"][unseen]], step_s)
         slots = fleet.slots
         found = self._matcher.update(
-            slots, table["xy"][slots], table["heading"][slots], table["sigma"][slots]
+            slots, *(table[name][slots] for name in ("xy", "heading", "sigma", "observed"))
         )
         table["lane"][slots], table["arc"][slots] = found.lane, found.arc_m
         table["offset"][slots], table["within"][slots] = found.offset_m, found.within

@@ -75,6 +75,17 @@ def test_beside_the_line_between_two_lanes_the_lane_does_not_flap(network: RoadN
     assert changes <= crossings / 4
 
 
+@pytest.mark.parametrize(("steps", "changes"), [(6, 0), (30, 2)])
+def test_a_box_that_jumps_aside_takes_no_lane_with_it(
+    network: RoadNetwork, steps: int, changes: int
+) -> None:
+    """For half a second the track is a lane beside its vehicle; if it stays there, so is that."""
+    line = straight(-5.25)
+    line[40 : 40 + steps, 1] += 3.0
+    lanes = drive(network, line, turned=False)
+    assert sum(a != b for a, b in pairwise(lanes)) == changes
+
+
 def test_round_the_bend_and_down_the_ramp(network: RoadNetwork) -> None:
     roads = made_roads()
     for end, expected in (("bend", "bend_0"), ("ramp", "ramp_0")):
@@ -97,7 +108,7 @@ def test_vehicles_do_not_disturb_each_other(network: RoadNetwork) -> None:
     x0 = random.uniform(10.0, 100.0, 30)
     paths = np.stack([np.column_stack((x0 + 2.0 * k, y)) for k in range(60)])
     heading, sigma = np.zeros(30), np.full(30, 0.3)
-    together, shuffled, single = (LaneMatcher(network, 1) for _ in range(3))
+    together, shuffled, single = (LaneMatcher(network, capacity=1) for _ in range(3))
     order = random.permutation(30)
     slots = np.arange(30)
     for matcher in (together, shuffled, single):
