@@ -45,7 +45,7 @@ class Matches:
         lane: (M,) lane number, `NONE` beside the network.
         arc_m: (M,) place along the lane.
         offset_m: (M,) distance from the lane's middle, positive to the left.
-        within: (M,) whether the vehicle's middle lies between the lane's borders and ends.
+        within: (M,) whether the vehicle's middle can be between the lane's borders and ends.
         heading_rad: (M,) the lane's direction there; NaN beside the network.
     """
 
@@ -127,7 +127,7 @@ class LaneMatcher:
         self._lane[slot[lost]] = NONE  # where it comes back, it begins anew
         self._crossing.keep(slot, xy, near.heading_rad[rows, best], excess[rows, best])
         offset = near.offset_m[rows, best]
-        within = ~lost & (np.abs(offset) <= self._half_m[lane])
+        within = ~lost & (np.abs(possible.offset_m[rows, best]) <= self._half_m[lane])
         return Matches(
             lane,
             near.arc_m[rows, best],
