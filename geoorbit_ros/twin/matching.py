@@ -45,7 +45,8 @@ class Matches:
         lane: (M,) lane number, `NONE` beside the network.
         arc_m: (M,) place along the lane.
         offset_m: (M,) distance from the lane's middle, positive to the left.
-        within: (M,) whether the vehicle's middle can be between the lane's borders and ends.
+        within: (M,) whether the vehicle's middle can be between the borders of a lane, and between
+            the ends of this one.
         heading_rad: (M,) the lane's direction there; NaN beside the network.
     """
 
@@ -115,6 +116,8 @@ class LaneMatcher:
         excess = self._crossing.excess(slot, xy, near.heading_rad, seen, self._step_s)
         possible = replace(near, offset_m=near.offset_m - excess)
         score = _observation(possible, heading_rad, sigma_m)
+        inside = np.abs(possible.offset_m) <= self._half_m[near.lane]
+        on_lane = (inside & (score > 0.5 * IMPOSSIBLE)).any(axis=1)
         known = (self._lane[slot] != NONE).any(axis=1)
         prior = self._prior(slot[known], near.lane[known])
         score[known] += prior
@@ -127,12 +130,11 @@ class LaneMatcher:
         self._lane[slot[lost]] = NONE  # where it comes back, it begins anew
         self._crossing.keep(slot, xy, near.heading_rad[rows, best], excess[rows, best])
         offset = near.offset_m[rows, best]
-        within = ~lost & (np.abs(possible.offset_m[rows, best]) <= self._half_m[lane])
         return Matches(
             lane,
             near.arc_m[rows, best],
             offset,
-            within & (near.past_m[rows, best] < END_SLACK_M),
+            ~lost & on_lane & (near.past_m[rows, best] < END_SLACK_M),
             np.where(lost, np.nan, near.heading_rad[rows, best]),
         )
 
