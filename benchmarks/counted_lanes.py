@@ -6,6 +6,9 @@ of as many normal distributions (Dempster, Laird and Rubin 1977, EM) over the pl
 of a whole recording, each place the median over a second of the vehicle's way, past and future, of
 which the twin knows the past alone. A line of the map gives the direction along the road,
 and nothing else.
+
+Where the place lies nearer to the line between two heaps than the median's own error, no evidence
+says which lane is the true one. Such steps are counted like all others, and reported.
 """
 
 from __future__ import annotations
@@ -27,6 +30,9 @@ OUTER_SIGMAS = 3.0
 """A vehicle farther outside of the outermost heaps is on a ramp, a shoulder, or nowhere."""
 FAR_M, SAME_WAY = 25.0, 0.7
 """Farther from the edge, or at a greater angle to it (cosine), a vehicle is on another road."""
+MEDIAN_ERROR = 1.4826 * 1.2533
+"""Of normal values, the median's standard error times the root of their number, per median absolute
+deviation."""
 ROUNDS = 200
 STRETCH_M = 20.0
 VEHICLES_PER_LANE = 5
@@ -40,6 +46,7 @@ class Count:
     Attributes:
         right, wrong: In the true lane, in another one; away from true changes of lane.
         crossing_right, crossing_wrong: Within `CROSSING_S` of one.
+        unsure_right, unsure_wrong: Of `right` and `wrong`, those whose true lane nobody can know.
         left_out: On no lane that was counted, seen too shortly, or where too few drove to tell.
     """
 
@@ -47,6 +54,8 @@ class Count:
     wrong: int = 0
     crossing_right: int = 0
     crossing_wrong: int = 0
+    unsure_right: int = 0
+    unsure_wrong: int = 0
     left_out: int = 0
 
     @property
@@ -92,17 +101,21 @@ class CountedLanes:
             time_s, vehicle, _, _, found = (column[mine] for column in columns)
             order = np.lexsort((time_s, vehicle))
             way_of = _Ways(vehicle[order], time_s[order])
-            place, whole = way_of.smoothed(foot.offset_m[mine][order])
+            place, error_m, whole = way_of.smoothed(foot.offset_m[mine][order])
             trend_m, vehicles = way_of.trend(foot.arc_m[mine][order], place)
             place -= trend_m
             known = whole & (vehicles >= VEHICLES_PER_LANE * lanes)
             mean, sigma_m = heaps(place[known], lanes)
             outer_m = OUTER_SIGMAS * sigma_m
             on = known & (place > mean[0] - outer_m) & (place < mean[-1] + outer_m)
-            true = np.searchsorted(0.5 * (mean[1:] + mean[:-1]), place)
+            lines = 0.5 * (mean[1:] + mean[:-1])
+            true = np.searchsorted(lines, place)
+            unsure = np.abs(place[:, None] - lines).min(axis=1) < error_m
             names = [f"{edge}_{k}" for k in range(lanes)]
             right = found[order] == np.array([network.number[name] for name in names])[true]
             crossing = way_of.near_changes(true)
+            count.unsure_right += int(np.count_nonzero(on & right & ~crossing & unsure))
+            count.unsure_wrong += int(np.count_nonzero(on & ~right & ~crossing & unsure))
             count.left_out -= int(np.count_nonzero(on))
             count.right += int(np.count_nonzero(on & right & ~crossing))
             count.wrong += int(np.count_nonzero(on & ~right & ~crossing))
@@ -158,20 +171,25 @@ class _Ways:
 
     def smoothed(
         self, values: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
         """Medians (N,) over the `SMOOTH_S` around each row of its vehicle, and whether it has one.
 
-        At the ends of a way over its first or last `SMOOTH_S`.
+        At the ends of a way over its first or last `SMOOTH_S`. Second their 1-sigma errors (N,), as
+        if the values had independent ones: the least they can be.
         """
-        out, whole = np.empty_like(values), np.zeros(len(values), dtype=np.bool_)
+        out, error = np.empty_like(values), np.empty_like(values)
+        whole = np.zeros(len(values), dtype=np.bool_)
         for part in self._parts:
             time_s = self._time_s[part]
             whole[part] = time_s[-1] - time_s[0] >= SMOOTH_S - 1e-6
             last_s = max(time_s[-1] - SMOOTH_S, time_s[0])
             begin_s = np.clip(time_s - 0.5 * SMOOTH_S, time_s[0], last_s)[:, None] - 1e-6
             near = (time_s >= begin_s) & (time_s <= begin_s + SMOOTH_S + 2e-6)
-            out[part] = np.nanmedian(np.where(near, values[part], np.nan), axis=1)
-        return out, whole
+            among = np.where(near, values[part], np.nan)
+            out[part] = np.nanmedian(among, axis=1)
+            spread = np.nanmedian(np.abs(among - out[part][:, None]), axis=1)
+            error[part] = MEDIAN_ERROR * spread / np.sqrt(near.sum(axis=1))
+        return out, error, whole
 
     def trend(
         self, arc_m: NDArray[np.float64], place_m: NDArray[np.float64]

@@ -140,6 +140,8 @@ def try_camera(name: str, place: Path, counted: Mapping[str, int]) -> None:
             print(
                 f"{title}: {count.share:.2%} right of {count.right + count.wrong}, "
                 f"{count.share_with_crossings:.2%} with crossings, {count.left_out} left out; "
+                f"nobody can know {count.unsure_right + count.unsure_wrong}, "
+                f"of them {count.unsure_wrong} wrong; "
                 f"95 % within {health.position_error_m_p95:.3f} m and "
                 f"{health.heading_error_deg_p95:.2f}°; in another lane than the filter's "
                 f"{health.lane_error_share:.2%}; lost {health.lost}; {result.events}",
