@@ -3,17 +3,12 @@
 At every sample of a detected lane, the network's lane that is nearest to it, and has it as its own
 nearest, is its partner there. What has no partner is missing in the map, or has not been seen by
 the camera; what has one is compared with it, edge by edge.
-
-A lane of the map that carries no traffic is extra only where lanes beside it have carried so much
-that it would have had some: with shares of the traffic drawn at random (Dirichlet, all alike), k
-lanes and N vehicles, a lane that is there stays empty with probability (k - 1) / (k - 1 + N).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,14 +18,13 @@ from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.metrics.polyline import project
 from geoorbit_ros.twin.alignment import Alignment
 from geoorbit_ros.twin.driven_lanes import DrivenLane
+from geoorbit_ros.twin.empty_lanes import MIN_LENGTH_M, find_extra
 from geoorbit_ros.twin.findings import Finding, Unseen
 from geoorbit_ros.twin.network import RoadNetwork
 from geoorbit_ros.twin.overlay import Offsets, lanes_near, offsets, sample_lines
 
 GATE_M = 1.75
 """Half a lane: what is farther is another lane."""
-MIN_LENGTH_M = 20.0
-"""Of less, neither side says much."""
 EDGE_SHIFT_M, EDGE_FIT_M, EDGE_GAIN = 2.4, 0.8, 1.5
 """An edge may be displaced by this; traffic then lies within this of its lanes; and it is so only
 where that much more of it lies there than without."""
@@ -43,11 +37,6 @@ BESIDE_SHARE = 0.6
 SHIFT_M, WIDTH_M = 0.35, 0.25
 """Differences that are none, be the detection ever so sure: drivers don't keep to the middle."""
 SIGMAS = 2.5
-EMPTY_SHARE = 0.7
-"""An extra lane is empty over this share of the length over which its edge is seen in use."""
-CELL_M = 4.0
-EXTRA_CONFIDENCE = 0.9
-"""With 0.8, lanes with two vehicles a minute were called extra (random scenes)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +115,7 @@ def compare(lanes: Sequence[Lane], network: RoadNetwork, alignment: Alignment) -
     for d, lane in enumerate(lanes):
         if lane.status == "confirmed":
             found += _missing(lane, d, network, beside, partners)
-    extra, unseen = _extra(lanes, network, number, partners)
+    extra, unseen = find_extra(lanes, network, number, partners)
     found += extra
     found.sort(key=lambda f: -f.confidence)
     wrong = {_edge(f.lane_id) for f in found if f.kind in ("shifted", "width")}
@@ -338,63 +327,6 @@ class _Beside:
         best = np.argmin(cost, axis=1)
         rows = np.arange(len(best))
         return np.where(np.isfinite(cost[rows, best]), self._number[best], -1)
-
-
-def _extra(
-    lanes: Sequence[Lane], network: RoadNetwork, number: NDArray[np.int64], partners: Partners
-) -> tuple[list[Finding], list[Unseen]]:
-    """Lanes of edges in use that carry nothing.
-
-    A lane in which somebody drove over `MIN_LENGTH_M`, be it once, is there, however much of it is
-    empty: beside ramps and before their ends lanes are left early and entered late.
-    """
-    found: list[Finding] = []
-    unseen: list[Unseen] = []
-    normal = [int(k) for k in number if not network.internal[k]]
-    for edge in dict.fromkeys(network.edge_id[k] for k in normal):
-        group = [k for k in normal if network.edge_id[k] == edge]
-        used = np.isin(partners.lane, group)
-        users = sorted(set(partners.detected[used].tolist()))
-        if not users:
-            continue
-        vehicles = float(np.nansum([lanes[d].vehicles for d in users]))
-        for k in group:
-            foot = project(partners.xy[used], network.line(k), 1.0)
-            arc = foot.arc_m[foot.inside]
-            own = partners.arc_m[partners.lane == k]
-            seen_m = _length(arc)
-            used_m = _covered_m(own)
-            is_used = used_m >= MIN_LENGTH_M or used_m > (1.0 - EMPTY_SHARE) * _covered_m(arc)
-            if seen_m < MIN_LENGTH_M or is_used:
-                continue
-            others = len(group) - 1
-            sure = vehicles / (vehicles + max(others, 1))
-            name, line = network.lane_id[k], _stretch(network, k, arc)
-            if sure < EXTRA_CONFIDENCE:
-                needed = EXTRA_CONFIDENCE / (1.0 - EXTRA_CONFIDENCE) * max(others, 1) - vehicles
-                text = (
-                    f"no traffic seen on {name}; {ceil(needed - 1e-6)} more vehicles beside it "
-                    "would say that it isn't there"
-                )
-                unseen.append(Unseen(name, text))
-                continue
-            text = (
-                f"no lane seen on {name} over {seen_m:.0f} m, while {vehicles:.0f} drove beside it"
-            )
-            found.append(Finding("extra", name, None, line, 0.0, 1.0, 0.0, "", sure, text))
-    return found, unseen
-
-
-def _stretch(network: RoadNetwork, k: int, arc: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points of a lane between the least and the greatest arc."""
-    at = np.linspace(arc.min(), arc.max(), 20)
-    line, along = network.line(k), network.arc(k)
-    return np.column_stack([np.interp(at, along, line[:, j]) for j in range(2)])
-
-
-def _covered_m(arc: NDArray[np.float64]) -> float:
-    """Metres along a lane at which there are samples, in cells of `CELL_M`."""
-    return CELL_M * len(np.unique(np.round(arc / CELL_M)))
 
 
 def _length(arc: NDArray[np.float64]) -> float:

@@ -148,6 +148,27 @@ def test_a_lane_that_is_left_early_is_not_extra(
     assert [f.kind for f in found.findings] == kinds
 
 
+@pytest.mark.parametrize(("seen_m", "found"), [(100.0, False), (280.0, True)])
+@pytest.mark.parametrize("entered", [True, False])
+def test_shortly_before_its_end_an_empty_lane_says_nothing(
+    network: RoadNetwork, lanes: list[Lane], seen_m: float, found: bool, entered: bool
+) -> None:
+    """But where it can't be entered either, unlike those beside it, it is none."""
+    k, beside = network.number["east_0"], network.number["east_1"]
+    nexts = list(network.successors)
+    nexts[k] = ()
+    if not entered:
+        nexts[network.number["west_0"]] = (beside,)  # any lane that leads into the next one
+    ending = replace(network, successors=tuple(nexts))
+    near = [
+        replace(each, centerline_m=each.centerline_m[each.centerline_m[:, 0] > 300.0 - seen_m])
+        for each in lanes[1:]
+    ]
+    result = validate(near, ending).discrepancies
+    assert ("east_0" in {f.lane_id for f in result.findings}) == (found or not entered)
+    assert ("east_0" in {u.lane_id for u in result.unseen}) == (not found and entered)
+
+
 def test_a_tentative_lane_shows_use_and_no_more(network: RoadNetwork, lanes: list[Lane]) -> None:
     seen = [replace(each, status="tentative") if each.lane_id == 1 else each for each in lanes]
     seen.append(replace(lane(9, lanes[0].centerline_m - np.array([0.0, 3.6])), status="tentative"))
