@@ -66,7 +66,8 @@ def find_extra(
             if must_be_left(network, k):
                 leaves_m = float(network.length_m[k] - LEAVES_S * network.speed_mps[k])
                 if leaves_m - arc.min() < MIN_LENGTH_M:
-                    unseen.append(Unseen(name, f"no traffic seen on {name}, which ends: it is left before"))
+                    text = f"no traffic seen on {name}, which ends: drivers leave it before"
+                    unseen.append(Unseen(name, text))
                     continue
                 seen_m = min(seen_m, leaves_m - float(arc.min()))
             others = len(group) - 1
