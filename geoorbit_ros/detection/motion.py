@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.detection.detector import Image, as_bgr, detection_rows
+from geoorbit_ros.detection.motion_axes import RoadAxes
 from geoorbit_ros.detection.motion_background import RoadBackground
 from geoorbit_ros.detection.motion_blobs import Blob, find_blobs
 from geoorbit_ros.detection.motion_pixels import busy_rows
@@ -78,7 +79,7 @@ class MotionDetector:
 
     def _forget(self) -> None:
         self._road, self._shadows, self._sizes = RoadBackground(), ShadowModel(), VehicleSizes()
-        self._watch, self._shapes = CameraWatch(), Silhouettes()
+        self._watch, self._shapes, self._axes = CameraWatch(), Silhouettes(), RoadAxes()
         self._frames = self._changed = 0
         self._learnt_ns: int | None = None
 
@@ -96,8 +97,9 @@ class MotionDetector:
         vehicle = np.zeros_like(moving)
         solid = self._shadows.remove(picture[rows], road[rows], moving[rows])
         cv2.medianBlur(solid, 3, dst=vehicle[rows])
-        blobs = find_blobs(moving, vehicle, self._sizes, self._shapes)
+        blobs = find_blobs(moving, vehicle, self._sizes, self._shapes, self._axes)
         whole = [blob.box for blob in blobs if blob.whole]
+        self._axes.add(stamp_ns, whole)
         self._sizes.add(np.array(whole, dtype=np.float64).reshape(-1, 4))
         if self._frames % LEARN_FRAMES == 0:
             self._sizes.learn()

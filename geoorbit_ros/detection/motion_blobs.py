@@ -8,8 +8,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.detection.motion_explain import explain, one_misfit, refined
+from geoorbit_ros.detection.motion_axes import RoadAxes
+from geoorbit_ros.detection.motion_edges import refined
+from geoorbit_ros.detection.motion_explain import explain, one_misfit
 from geoorbit_ros.detection.motion_likeness import unlikeness
+from geoorbit_ros.detection.motion_lorries import lorry_search
 from geoorbit_ros.detection.motion_pixels import busy_rows
 from geoorbit_ros.detection.motion_silhouettes import Silhouettes
 from geoorbit_ros.detection.motion_sizes import Box, VehicleSizes
@@ -31,8 +34,13 @@ sizes are learnt from such."""
 SOUND_LIKENESS = 0.6
 MIN_CAR_PX = 5.0
 """Where cars are less high, several are not told apart."""
-ONE_GAIN = 0.03
-"""Several vehicles must be more like a patch than one by this share of its pixels for each more."""
+MIN_LORRY_CAR_PX = 10.0
+"""Where cars are less high, a patch shows too little to tell a lorry from a queue; no explanation
+looks at larger pictures of cars."""
+LORRY_AREA = 1.8
+"""Pixels of the smallest lorry, in boxes of a car."""
+GOOD_ONE = 0.15
+"""What is wrong with less than this, as a share of the pixels, is one vehicle or some cars."""
 LEAST_LIKENESS = 0.4
 """Of a vehicle that explains a part of a patch."""
 
@@ -63,7 +71,9 @@ class _Patch:
     top: int
 
 
-def find_blobs(moving: Mask, vehicle: Mask, sizes: VehicleSizes, shapes: Silhouettes) -> list[Blob]:
+def find_blobs(
+    moving: Mask, vehicle: Mask, sizes: VehicleSizes, shapes: Silhouettes, axes: RoadAxes
+) -> list[Blob]:
     """Vehicles among the pixels that move.
 
     Args:
@@ -71,6 +81,7 @@ def find_blobs(moving: Mask, vehicle: Mask, sizes: VehicleSizes, shapes: Silhoue
         vehicle: (H, W) the same without shadows.
         sizes: How large a car is at each place.
         shapes: What outline vehicles have at each place; learns from single ones.
+        axes: Which way the road runs there.
     """
     rows = busy_rows(moving)
     joined = np.asarray(cv2.morphologyEx(moving[rows], cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)))
@@ -85,7 +96,7 @@ def find_blobs(moving: Mask, vehicle: Mask, sizes: VehicleSizes, shapes: Silhoue
         solid = stand_up(whole, whole & (vehicle[rows][window] > 0))
         if np.count_nonzero(solid) < max(MIN_VEHICLE_SHARE * area, 8):
             continue
-        found += _vehicles(_Patch(solid, left, rows.start + top), moving.shape, sizes, shapes)
+        found += _vehicles(_Patch(solid, left, rows.start + top), moving.shape, sizes, shapes, axes)
     return found
 
 
@@ -101,7 +112,11 @@ def stand_up(whole: Mask, seen: Mask) -> Mask:
 
 
 def _vehicles(
-    patch: _Patch, image: tuple[int, ...], sizes: VehicleSizes, shapes: Silhouettes
+    patch: _Patch,
+    image: tuple[int, ...],
+    sizes: VehicleSizes,
+    shapes: Silhouettes,
+    axes: RoadAxes,
 ) -> list[Blob]:
     """The vehicles in one patch of moving pixels."""
     box = _extent(patch)
@@ -115,25 +130,39 @@ def _vehicles(
         return [blob] if sound or _large_enough(blob, sizes, image) else []
     if sizes.car(box)[1] < MIN_CAR_PX:
         return [_blob(patch, box, image, sizes)]
-    blobs = _explained(_closed(patch, sizes), box, image, sizes, shapes)
+    blobs = _explained(_closed(patch, sizes), box, image, sizes, shapes, axes)
     return [blob for blob in blobs if _large_enough(blob, sizes, image)]
 
 
 def _explained(
-    patch: _Patch, extent: Box, image: tuple[int, ...], sizes: VehicleSizes, shapes: Silhouettes
+    patch: _Patch,
+    extent: Box,
+    image: tuple[int, ...],
+    sizes: VehicleSizes,
+    shapes: Silhouettes,
+    axes: RoadAxes,
 ) -> list[Blob]:
     """One vehicle of unusual size, or some of usual ones: whichever looks more like the patch."""
     corner = patch.left, patch.top
-    found = explain(patch.pixels, corner, sizes, shapes)
     one = one_misfit(patch.pixels, corner, extent, shapes)
-    count = len(found.boxes)
-    if not count or one < found.misfit + ONE_GAIN * (count - 1):
+    search = None
+    if one > GOOD_ONE and _holds_lorry(patch, extent, sizes):
+        search = lorry_search(extent, _cut_edges(extent, image), sizes, shapes, axes)
+    found = explain(patch.pixels, corner, sizes, shapes, search)
+    if not len(found.boxes) or one < found.badness:
         return [_blob(patch, extent, image, sizes)]
     blobs = []
-    for box in refined(patch.pixels, corner, found.boxes):
+    for box in refined(patch.pixels, corner, found):
         likeness = max(float(np.exp(-unlikeness(box, 1.0, sizes))), LEAST_LIKENESS)
         blobs.append(Blob(box, False, 1.0, likeness))
     return blobs
+
+
+def _holds_lorry(patch: _Patch, extent: Box, sizes: VehicleSizes) -> bool:
+    """Whether a patch is large enough for a lorry that can be told from cars."""
+    width, height = sizes.car(extent)
+    large = cv2.countNonZero(patch.pixels) > LORRY_AREA * width * height
+    return large and height >= MIN_LORRY_CAR_PX
 
 
 def _extent(patch: _Patch) -> Box | None:
@@ -166,7 +195,12 @@ def _large_enough(blob: Blob, sizes: VehicleSizes, image: tuple[int, ...]) -> bo
 
 
 def _touches_border(box: Box, image: tuple[int, ...]) -> bool:
-    return box[0] <= 1 or box[1] <= 1 or box[2] >= image[1] - 1 or box[3] >= image[0] - 1
+    return any(_cut_edges(box, image))
+
+
+def _cut_edges(box: Box, image: tuple[int, ...]) -> tuple[bool, bool, bool, bool]:
+    """Whether the border of the image cuts the left, top, right, bottom."""
+    return box[0] <= 1, box[1] <= 1, box[2] >= image[1] - 1, box[3] >= image[0] - 1
 
 
 def _blob(patch: _Patch, box: Box, image: tuple[int, ...], sizes: VehicleSizes) -> Blob:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.detection.motion_lorries import LorrySearch, Outline, drawn
 from geoorbit_ros.detection.motion_silhouettes import Silhouettes
 from geoorbit_ros.detection.motion_sizes import Box, VehicleSizes
 
@@ -30,11 +32,11 @@ ROW_STEP = 3
 """Sizes are looked up in every so manieth row."""
 ROUNDS = 2
 """So often each vehicle is moved to where it fits best beside the others."""
-NEAR, HIDDEN = 0.35, 0.12
-"""Edges are moved so far, in sizes of the box, outwards and inwards: farther in, another vehicle
-hides them."""
-MIN_SEEN = 0.35
-"""Share of its box that a vehicle fills beside the others."""
+ONE_GAIN = 0.03
+"""Several vehicles must be more like a patch than one by this share of its pixels for each more."""
+MOST_LORRIES = 3
+GOOD = 0.12
+"""An explanation less bad than this is not improved by lorries: their own misfit is as large."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,14 +46,25 @@ class Explanation:
     Attributes:
         boxes: (N, 4) left, top, right, bottom, in the image.
         misfit: Share of the pixels that are wrong.
+        outlines: (N, 2) for each that is a lorry, points of its convex outline in the image.
     """
 
     boxes: NDArray[np.float64]
     misfit: float
+    outlines: Sequence[Outline | None]
+
+    @property
+    def badness(self) -> float:
+        """Misfit, and what each vehicle must bring."""
+        return self.misfit + ONE_GAIN * (len(self.boxes) - 1)
 
 
 def explain(
-    pixels: Mask, corner: tuple[int, int], sizes: VehicleSizes, shapes: Silhouettes
+    pixels: Mask,
+    corner: tuple[int, int],
+    sizes: VehicleSizes,
+    shapes: Silhouettes,
+    search: LorrySearch | None = None,
 ) -> Explanation:
     """The few vehicles of known size and outline whose union is most like the patch.
 
@@ -60,21 +73,62 @@ def explain(
         corner: Where its (0, 0) is in the image.
         sizes: How large a car is at each place.
         shapes: What outline vehicles have there.
+        search: Finds lorries longer than any usual size; without it there are none.
     """
+    seen, zoom = _smaller(pixels, corner, sizes)
+    models = _models(seen.shape[::-1], corner, zoom, sizes, shapes)
+    best = _explained(seen, corner, zoom, models, [])
+    if search is None or best.badness < GOOD:
+        return best
+    worth = (1.0 + EMPTY_COST) * seen - EMPTY_COST
+    lorries: list[Outline] = []
+    while len(lorries) < MOST_LORRIES:
+        hull = search.best(worth, corner, zoom)
+        if hull is None:
+            break
+        lorries.append(hull)
+        other = _explained(seen, corner, zoom, models, lorries)
+        if other.badness >= best.badness:
+            break
+        best = other
+        worth = worth * (1.0 - drawn((hull - corner) * zoom, seen.shape))
+    return best
+
+
+def _smaller(
+    pixels: Mask, corner: tuple[int, int], sizes: VehicleSizes
+) -> tuple[NDArray[np.float32], tuple[float, float]]:
+    """The patch made so small that cars are `CAR_PX` high, and its pixels per pixel each way."""
     height, width = pixels.shape
     left, top = corner
     _, car_px = sizes.car((left, top, left + width, top + height))
     scale = min(CAR_PX / car_px, 1.0)
     size = (max(round(width * scale), 2), max(round(height * scale), 2))
     small = cv2.resize(pixels.astype(np.float32), size, interpolation=cv2.INTER_AREA)
-    seen = np.asarray(small, dtype=np.float32)
-    zoom = size[0] / width, size[1] / height
-    models = _models(size, corner, zoom, sizes, shapes)
-    chosen = _choose(models, seen)
-    free = _free(chosen, models, seen.shape)
+    return np.asarray(small, dtype=np.float32), (size[0] / width, size[1] / height)
+
+
+def _explained(
+    seen: NDArray[np.float32],
+    corner: tuple[int, int],
+    zoom: tuple[float, float],
+    models: list[_Model],
+    lorries: list[Outline],
+) -> Explanation:
+    """The patch as these lorries and the vehicles that are most like what they leave."""
+    covers = [drawn((hull - corner) * zoom, seen.shape) for hull in lorries]
+    start = np.ones(seen.shape, dtype=np.float32)
+    for cover in covers:
+        start *= 1.0 - cover
+    chosen = _choose(models, seen, start)
+    free = start * _free(chosen, models, seen.shape)
     misfit = float(np.abs(1.0 - free - seen).sum() / seen.sum())
     boxes = np.array([models[k].box(x, y) for k, x, y in chosen], dtype=np.float64).reshape(-1, 4)
-    return Explanation(boxes / [*zoom, *zoom] + [left, top, left, top], misfit)
+    left, top = corner
+    placed = boxes / [*zoom, *zoom] + [left, top, left, top]
+    spans = [np.concatenate([hull.min(axis=0), hull.max(axis=0)]) for hull in lorries]
+    outlines = [None] * len(boxes) + lorries
+    return Explanation(np.concatenate([placed, *(span[None] for span in spans)]), misfit, outlines)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,12 +139,14 @@ class _Model:
         cover: (h, w) what it covers.
         first, last: Rows between which its lowest row is, the last one excluded.
         cost: Price in pixels.
+        most: What it gains at most.
     """
 
     cover: NDArray[np.float32]
     first: int
     last: int
     cost: float
+    most: float
 
     def box(self, x: int, bottom: int) -> tuple[int, int, int, int]:
         """Left, top, right, bottom of one."""
@@ -125,41 +181,57 @@ def _models(
             first, last = max(alike[0][0] - ROW_STEP + 1, h), alike[-1][0]
             if 2 <= w <= width + 1 and h >= 2 and first <= last:
                 cover = np.asarray(cv2.resize(shape, (min(w, width), h)), dtype=np.float32)
-                models.append(_Model(cover, first, last + 1, cost * w * h / kind_w / kind_h))
-    return models
+                price = cost * w * h / kind_w / kind_h
+                models.append(_Model(cover, first, last + 1, price, float(cover.sum()) - price))
+    return sorted(models, key=lambda model: -model.most)
 
 
-def _choose(models: list[_Model], seen: NDArray[np.float32]) -> list[_Place]:
-    """The vehicles that explain the patch best: added one by one, then moved one by one."""
-    worth = (1.0 + EMPTY_COST) * seen - EMPTY_COST
+def _choose(
+    models: list[_Model], seen: NDArray[np.float32], start: NDArray[np.float32]
+) -> list[_Place]:
+    """The vehicles that explain the patch best: added one by one, then moved one by one.
+
+    `start` is what others leave uncovered.
+    """
+    worth = ((1.0 + EMPTY_COST) * seen - EMPTY_COST) * start
     chosen: list[_Place] = []
     for _ in range(ROUNDS):
         before = list(chosen)
         for k in range(len(chosen)):
             others = chosen[:k] + chosen[k + 1 :]
-            better, _ = _best(models, worth * _free(others, models, seen.shape))
+            better = _best(models, worth * _free(others, models, seen.shape), -np.inf)
             chosen[k] = better or chosen[k]
+        if chosen and chosen == before:
+            break
         while len(chosen) < MOST:
-            place, gain = _best(models, worth * _free(chosen, models, seen.shape))
-            if place is None or gain <= 0.0:
+            place = _best(models, worth * _free(chosen, models, seen.shape), 0.0)
+            if place is None:
                 break
             chosen.append(place)
-        if chosen == before or len(chosen) < 2:
+        if len(chosen) < 2:
             break
     return chosen
 
 
-def _best(models: list[_Model], worth: NDArray[np.float32]) -> tuple[_Place | None, float]:
-    """The place of the model that covers most of what is worth it, and what it gains."""
-    place, most = None, -np.inf
+def _best(models: list[_Model], worth: NDArray[np.float32], least: float) -> _Place | None:
+    """The place of the model that covers most of what is worth it, if it gains more than `least`.
+
+    Models come in the order of what they gain at most.
+    """
+    place, most = None, least
+    room = float(np.maximum(worth, 0.0).sum())
     for k, model in enumerate(models):
+        if model.most <= most:
+            break  # the others gain less still
+        if room - model.cost <= most:
+            continue
         height = model.cover.shape[0]
         part = worth[model.first - height : model.last - 1]
         gain = cv2.matchTemplate(part, model.cover, cv2.TM_CCORR)
         _, high, _, (x, y) = cv2.minMaxLoc(gain)
         if high - model.cost > most:
             place, most = (k, x, model.first + y), high - model.cost
-    return place, most
+    return place
 
 
 def _free(
@@ -180,47 +252,3 @@ def one_misfit(pixels: Mask, corner: tuple[int, int], box: Box, shapes: Silhouet
     inside = pixels[box[1] - y : box[3] - y, box[0] - x : box[2] - x].astype(np.float32)
     small = cv2.resize(inside, shape.shape[::-1], interpolation=cv2.INTER_AREA)
     return float(np.abs(small - shape).sum() / max(small.sum(), 1e-6))
-
-
-def refined(pixels: Mask, corner: tuple[int, int], boxes: NDArray[np.float64]) -> list[Box]:
-    """Boxes (N, 4) moved to the edges of the patch where they are near.
-
-    Those of which little is seen beside the others are left out.
-    """
-    left = boxes[np.argsort(-boxes[:, 3], kind="stable")]
-    while True:
-        owner = _owners(pixels.shape, corner, left)
-        own = [(pixels > 0) & (owner == k) for k in range(len(left))]
-        size = (left[:, 2:] - left[:, :2]).prod(axis=1)
-        seen = np.array([np.count_nonzero(mine) for mine in own]) / size
-        if len(left) < 2 or seen.min() >= MIN_SEEN:
-            break
-        left = np.delete(left, int(np.argmin(seen)), axis=0)
-    return [_fitted(mine, corner, box) for mine, box in zip(own, left, strict=True)]
-
-
-def _owners(
-    shape: tuple[int, ...], corner: tuple[int, int], boxes: NDArray[np.float64]
-) -> NDArray[np.intp]:
-    """(H, W) index of the box that a pixel belongs to: of several the first, else the nearest."""
-    x = np.arange(shape[1]) + 0.5 + corner[0]
-    y = np.arange(shape[0]) + 0.5 + corner[1]
-    half = 0.5 * (boxes[:, 2:] - boxes[:, :2])
-    middle = boxes[:, :2] + half
-    across = np.abs(x - middle[:, :1]) / half[:, :1]
-    down = np.abs(y - middle[:, 1:]) / half[:, 1:]
-    off = np.maximum(np.maximum(across[:, None], down[:, :, None]), 1.0)
-    return np.asarray(off.argmin(axis=0))
-
-
-def _fitted(own: NDArray[np.bool_], corner: tuple[int, int], box: NDArray[np.float64]) -> Box:
-    """The box, with edges where the vehicle's own pixels end, unless another one hides them."""
-    columns, rows = np.flatnonzero(own.any(axis=0)), np.flatnonzero(own.any(axis=1))
-    if len(columns):
-        x, y = corner
-        seen = np.array([columns[0] + x, rows[0] + y, columns[-1] + 1 + x, rows[-1] + 1 + y])
-        size = np.tile(box[2:] - box[:2], 2)
-        outward = np.array([-1, -1, 1, 1]) * (seen - box) / size
-        box = np.where((outward < NEAR) & (outward >= -HIDDEN), seen, box)
-    a, b, c, d = np.rint(box).astype(int).tolist()
-    return a, b, c, d
