@@ -89,17 +89,28 @@ def find_extra(
 
 
 def must_be_left(network: RoadNetwork, k: int) -> bool:
-    """Whether lane k ends while others beside it go on.
+    """Whether lane k ends while the road goes on with fewer lanes.
 
-    One that cannot be entered either, where others can, leads from nowhere to nowhere: no driver
-    has ever been in it to leave it.
+    At a junction, where the lanes beside it lead to several roads, each lane leads somewhere: one
+    that leads nowhere is not left, but wrong. One that cannot be entered either, where others can,
+    leads from nowhere to nowhere: no driver has ever been in it to leave it.
     """
     group = [j for j, edge in enumerate(network.edge_id) if edge == network.edge_id[k]]
-    ends, begins = (
-        not link[k] and any(link[j] for j in group)
-        for link in (network.successors, network.predecessors)
-    )
-    return ends and not begins
+    narrows = len(set().union(*(_onward(network, j) for j in group))) == 1
+    begins = not network.predecessors[k] and any(network.predecessors[j] for j in group)
+    return narrows and not network.successors[k] and not begins
+
+
+def _onward(network: RoadNetwork, k: int) -> set[str]:
+    """Edges that lane k leads to, across the junction at its end."""
+    found, waiting = set[str](), list(network.successors[k])
+    while waiting:
+        j = waiting.pop()
+        if network.internal[j]:
+            waiting += network.successors[j]
+        else:
+            found.add(network.edge_id[j])
+    return found
 
 
 def _stretch(network: RoadNetwork, k: int, arc: NDArray[np.float64]) -> NDArray[np.float64]:

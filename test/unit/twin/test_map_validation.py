@@ -169,6 +169,22 @@ def test_shortly_before_its_end_an_empty_lane_says_nothing(
     assert ("east_0" in {u.lane_id for u in result.unseen}) == (not found and entered)
 
 
+def test_at_a_junction_a_lane_that_leads_nowhere_is_not_left_but_wrong(
+    network: RoadNetwork, lanes: list[Lane]
+) -> None:
+    near = [
+        replace(each, centerline_m=each.centerline_m[each.centerline_m[:, 0] > 200.0])
+        for each in lanes[1:]
+    ]
+    nexts = list(network.successors)
+    nexts[network.number["east_0"]] = ()
+    for turns in (False, True):
+        if turns:
+            nexts[network.number["east_1"]] += (network.number["west_0"],)
+        found = validate(near, replace(network, successors=tuple(nexts))).findings
+        assert ("east_0" in {f.lane_id for f in found}) == turns
+
+
 def test_a_tentative_lane_shows_use_and_no_more(network: RoadNetwork, lanes: list[Lane]) -> None:
     seen = [replace(each, status="tentative") if each.lane_id == 1 else each for each in lanes]
     seen.append(replace(lane(9, lanes[0].centerline_m - np.array([0.0, 3.6])), status="tentative"))
