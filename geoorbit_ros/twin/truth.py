@@ -18,8 +18,8 @@ SUMO's change of `traffic.LANE_CHANGE_S` moves it by a lane's width in four seco
 ALONG_M, ACROSS_M = 6.0, 1.7
 """Nearer than this, a vehicle of the twin is a true one's; otherwise it is a false track."""
 PASSES_MPS = 10.0
-"""Who moves otherwise than a true vehicle by this is not its double: it stands where that one
-drives by, and is false."""
+"""Who moved otherwise than a true vehicle by this is not its double: it stands where that one
+drives by, and is false. Its places tell, not its track, which may say anything at first."""
 
 
 @dataclass(slots=True)
@@ -68,6 +68,7 @@ class LaneTruth:
         names = [f"{road}_{lane}" for road, lane in record.lane_names]
         self._lane = np.array([network.number[name] for name in names] + [NONE])
         self._crossing = self._find_crossings()
+        self._before: tuple[int, dict[int, NDArray[np.float64]]] = (0, {})
 
     def judge(self, step: TwinStep) -> None:
         """Count one step's vehicles that a camera sees; those inside junctions are left out."""
@@ -88,7 +89,8 @@ class LaneTruth:
         self.score.false_tracks += int(np.count_nonzero(~known))
         way = np.column_stack((np.cos(heading), np.sin(heading)))
         velocity = (record.speed[now][:, None] * way)[nearest]
-        along_with = known & (np.hypot(*(step.velocity[seen] - velocity).T) < PASSES_MPS)
+        otherwise = np.hypot(*(self._velocity(step)[seen] - velocity).T)
+        along_with = known & ~(otherwise >= PASSES_MPS)
         self.score.doubled += int(along_with.sum()) - len(np.unique(nearest[along_with]))
         true_lane = self._lane[record.lane[now]][nearest[known]]
         lane = step.lane[seen[known]]
@@ -100,6 +102,14 @@ class LaneTruth:
         self.score.wrong += int(np.count_nonzero(counted & ~right & ~crossing))
         self.score.crossing_right += int(np.count_nonzero(counted & right & crossing))
         self.score.crossing_wrong += int(np.count_nonzero(counted & ~right & crossing))
+
+    def _velocity(self, step: TwinStep) -> NDArray[np.float64]:
+        """(M, 2) by the places of this step and the one before; NaN for who was not there then."""
+        stamp_ns, places = self._before
+        ids, nowhere = step.vehicle_id.tolist(), np.full(2, np.nan)
+        before = np.array([places.get(v, nowhere) for v in ids]).reshape(-1, 2)
+        self._before = step.stamp_ns, dict(zip(ids, step.xy, strict=True))
+        return np.asarray((step.xy - before) / (1e-9 * (step.stamp_ns - stamp_ns)))
 
     def _find_crossings(self) -> NDArray[np.bool_]:
         """(N,) whether a row of the record is near a change of lane within a road."""
