@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from geoorbit_ros.metrics.polyline import project
 from geoorbit_ros.twin.network import RoadNetwork
 from geoorbit_ros.twin.placement import TwinStep
-from geoorbit_ros.twin.truth import CROSSING_S
+from geoorbit_ros.twin.truth import CROSSING_S, LaneCount
 
 SMOOTH_S = 1.0
 """A vehicle's place across the road is a median over so long; who is seen for less has none."""
@@ -40,34 +40,17 @@ VEHICLES_PER_LANE = 5
 
 
 @dataclass(slots=True)
-class Count:
+class Count(LaneCount):
     """Vehicle steps.
 
     Attributes:
-        right, wrong: In the true lane, in another one; away from true changes of lane.
-        crossing_right, crossing_wrong: Within `CROSSING_S` of one.
         unsure_right, unsure_wrong: Of `right` and `wrong`, those whose true lane nobody can know.
         left_out: On no lane that was counted, seen too shortly, or where too few drove to tell.
     """
 
-    right: int = 0
-    wrong: int = 0
-    crossing_right: int = 0
-    crossing_wrong: int = 0
     unsure_right: int = 0
     unsure_wrong: int = 0
     left_out: int = 0
-
-    @property
-    def share(self) -> float:
-        """Right ones of those away from changes."""
-        return self.right / max(self.right + self.wrong, 1)
-
-    @property
-    def share_with_crossings(self) -> float:
-        """Right ones of all."""
-        right = self.right + self.crossing_right
-        return right / max(right + self.wrong + self.crossing_wrong, 1)
 
 
 class CountedLanes:

@@ -23,35 +23,42 @@ drives by, and is false. Its places tell, not its track, which may say anything 
 
 
 @dataclass(slots=True)
-class LaneScore:
-    """Vehicle steps, judged.
+class LaneCount:
+    """Vehicle steps by their lane.
 
     Attributes:
-        right: In the true lane, not crossing.
-        wrong: In another lane, not crossing.
-        crossing_right: In the true lane within `CROSSING_S` of a true lane change.
-        crossing_wrong: In another lane then.
-        false_tracks: Of vehicles that are nobody's.
-        doubled: Of vehicles beyond the first that are the same true one's, and move as it does.
+        right, wrong: In the true lane, in another one; away from true changes of lane.
+        crossing_right, crossing_wrong: Within `CROSSING_S` of one.
     """
 
     right: int = 0
     wrong: int = 0
     crossing_right: int = 0
     crossing_wrong: int = 0
-    false_tracks: int = 0
-    doubled: int = 0
 
     @property
     def share(self) -> float:
-        """Of the vehicles that don't cross a line, those in their true lane."""
+        """Right ones of the vehicles that don't cross a line."""
         return self.right / max(self.right + self.wrong, 1)
 
     @property
     def share_with_crossings(self) -> float:
-        """Of all vehicles, also those that stand on the line between two lanes."""
+        """Right ones of all vehicles, also of those that stand on the line between two lanes."""
         right = self.right + self.crossing_right
         return right / max(right + self.wrong + self.crossing_wrong, 1)
+
+
+@dataclass(slots=True)
+class LaneScore(LaneCount):
+    """Vehicle steps, judged.
+
+    Attributes:
+        false_tracks: Of vehicles that are nobody's.
+        doubled: Of vehicles beyond the first that are the same true one's, and move as it does.
+    """
+
+    false_tracks: int = 0
+    doubled: int = 0
 
 
 class LaneTruth:
