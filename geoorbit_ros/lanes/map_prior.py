@@ -43,40 +43,51 @@ class MapPrior:
 
     def refine(self, lane_map: LaneMap) -> LaneMap:
         """A lane map in which sparse lanes have taken the map's word where it is good."""
-        sure = [(lane, found) for lane in lane_map.confirmed if (found := self._of(lane))]
-        errors = [_median(foot) for _, (_, foot) in sure]
+        if all(_is_known(lane) for lane in lane_map.lanes):
+            return lane_map
+        places = [self._of(lane) for lane in lane_map.lanes]
+        sure = [
+            (lane, *place)
+            for lane, place in zip(lane_map.lanes, places, strict=True)
+            if place is not None and lane.status == "confirmed"
+        ]
+        errors = [_median(foot) for _, _, foot in sure]
         wide = [
-            lane.width_m - there.width_m
-            for lane, (there, _) in sure
-            if lane.width_sigma_m < GUESS_M
+            lane.width_m - there.width_m for lane, there, _ in sure if lane.width_sigma_m < GUESS_M
         ]
         widths_fit = len(wide) >= MIN_MEASURED and max(map(abs, wide)) <= WIDTH_FITS_M
         lanes = []
-        for lane in lane_map.lanes:
-            found = self._of(lane)
-            if found is not None and lane.status == "tentative":
+        for lane, place in zip(lane_map.lanes, places, strict=True):
+            refined = lane
+            if place is not None and lane.status == "tentative":
                 beside = [
                     error
-                    for (other, _), error in zip(sure, errors, strict=True)
+                    for (other, *_), error in zip(sure, errors, strict=True)
                     if _beside(lane, other)
                 ]
-                lane = _drawn(lane, *found, beside)
-            if found is not None and widths_fit and not lane.width_sigma_m < GUESS_M:
-                lane = _widened(lane, found[0].width_m)
-            lanes.append(lane)
+                refined = _drawn(lane, *place, beside)
+            if place is not None and widths_fit and not lane.width_sigma_m < GUESS_M:
+                refined = _widened(refined, place[0].width_m)
+            lanes.append(refined)
         return replace(lane_map, lanes=tuple(lanes))
 
     def _of(self, lane: Lane) -> tuple[Lane, Projection] | None:
         """The map's lane that a lane lies in over most of its length, in its direction."""
         best, least = None, GATE_M
+        x, y, heading = lane.middle
         for there in self.lanes:
-            foot = project(lane.centerline_m, there.centerline_m, 1.0)
-            x, y, heading = lane.middle
             middle = project(np.array([[x, y]]), there.centerline_m, 1.0)
-            along = middle.tangent[0] @ [np.cos(heading), np.sin(heading)]
-            if foot.inside.mean() > 0.5 and along > PARALLEL and abs(_median(foot)) < least:
+            if middle.tangent[0] @ [np.cos(heading), np.sin(heading)] <= PARALLEL:
+                continue
+            foot = project(lane.centerline_m, there.centerline_m, 1.0)
+            if foot.inside.mean() > 0.5 and abs(_median(foot)) < least:
                 best, least = (there, foot), abs(_median(foot))
         return best
+
+
+def _is_known(lane: Lane) -> bool:
+    """Whether a map can add nothing: confirmed, and its width was measured."""
+    return lane.status == "confirmed" and lane.width_sigma_m < GUESS_M
 
 
 def _median(foot: Projection) -> float:
