@@ -25,11 +25,11 @@ from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.cli.console import error_console, make_progress
 from geoorbit_ros.core.errors import NoTrafficError
 from geoorbit_ros.core.lanes import Lane
-from geoorbit_ros.lanes.factory import make_estimator
-from geoorbit_ros.lanes.mapper import LaneMapper
+from geoorbit_ros.lanes.estimators.registry import make_estimator
+from geoorbit_ros.lanes.mapping.mapper import LaneMapper
 from geoorbit_ros.lanes.pipeline import StampedRows, map_lanes, project_frames
+from geoorbit_ros.metrics.lane_score import Tally
 from geoorbit_ros.metrics.score import score_lanes
-from geoorbit_ros.metrics.tally import Tally
 from geoorbit_ros.scenes.random_scene import random_scene
 from geoorbit_ros.scenes.scene import Scene, load_scene, shipped_scenes
 from geoorbit_ros.scenes.simulate import SceneRun, simulate

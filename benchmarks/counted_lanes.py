@@ -19,10 +19,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.metrics.polyline import project
-from geoorbit_ros.twin.network import RoadNetwork
+from geoorbit_ros.core.polylines import project
+from geoorbit_ros.roadnet.network import RoadNetwork
 from geoorbit_ros.twin.placement import TwinStep
-from geoorbit_ros.twin.truth import CROSSING_S, LaneCount
+from scores.twin_truth import CROSSING_S, LaneCount
 
 SMOOTH_S = 1.0
 """A vehicle's place across the road is a median over so long; who is seen for less has none."""

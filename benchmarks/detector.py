@@ -14,8 +14,8 @@ import time
 import cv2
 import numpy as np
 
-from geoorbit_ros.detection.motion import MotionDetector
-from geoorbit_ros.scenes.render.rendered_scene import render_scene
+from geoorbit_ros.detection.motion.detector import MotionDetector
+from geoorbit_ros.rendering.rendered_scene import render_scene
 from geoorbit_ros.scenes.scene import load_scene
 
 SCENE, SIZE, FPS, SECONDS = "straight_3x3", (1280, 720), 10.0, 20.0

@@ -25,18 +25,17 @@ from rich.table import Table
 
 from geoorbit_ros.calibration.control_points import read_control_points
 from geoorbit_ros.calibration.homography import fit_homography
-from geoorbit_ros.cli.camera_run import CameraRun, WatchedMapper
+from geoorbit_ros.cli.camera_run import CameraRun, WatchedMapper, prime_detector
 from geoorbit_ros.cli.console import error_console, make_progress
-from geoorbit_ros.cli.priming import prime_detector
 from geoorbit_ros.core.errors import NoTrafficError
-from geoorbit_ros.detection.factory import make_detector
-from geoorbit_ros.lanes.factory import make_estimator
+from geoorbit_ros.detection.registry import make_detector
+from geoorbit_ros.lanes.estimators.registry import make_estimator
 from geoorbit_ros.lanes.geojson import read_lanes
 from geoorbit_ros.lanes.pipeline import map_lanes
+from geoorbit_ros.metrics.lane_score import Tally
 from geoorbit_ros.metrics.score import score_lanes
-from geoorbit_ros.metrics.tally import Tally
-from geoorbit_ros.scenes.render.output import write_rendered_scene
-from geoorbit_ros.scenes.render.rendered_scene import render_scene
+from geoorbit_ros.rendering.output import write_rendered_scene
+from geoorbit_ros.rendering.rendered_scene import render_scene
 from geoorbit_ros.scenes.scene import load_scene, shipped_scenes
 from geoorbit_ros.storage.frames.open_source import open_frame_source
 

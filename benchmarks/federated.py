@@ -24,10 +24,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.federated.client_update import ClientUpdate
 from geoorbit_ros.federated.keys import Member, Roster, Signer
-from geoorbit_ros.federated.server import FederatedServer
-from geoorbit_ros.federated.server_config import ServerConfig
+from geoorbit_ros.federated.payloads.client_update import ClientUpdate
+from geoorbit_ros.federated.rounds.server import FederatedServer
+from geoorbit_ros.federated.rounds.server_config import ServerConfig
 from geoorbit_ros.learning.meta_learner import MetaLearner
 
 PEER = Path(__file__).parent / "peers" / "flower_fedavg.py"

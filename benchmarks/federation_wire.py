@@ -48,9 +48,8 @@ import yaml
 
 from geoorbit_ros.core.resources import share_path
 from geoorbit_ros.federated.keys import Signer
-from geoorbit_ros.federated.layout import ModelLayout
-from geoorbit_ros.federated.ledger import Ledger
-from geoorbit_ros.federated.server_state import read_checkpoint
+from geoorbit_ros.federated.payloads.model_layout import ModelLayout
+from geoorbit_ros.federated.rounds.server_state import Ledger, read_checkpoint
 from geoorbit_ros.learning.meta_learner import MetaLearner
 
 CAMERAS = ("north", "south", "west", "east")
@@ -85,11 +84,11 @@ def camera(name: str, folder: Path, server_key: str, settings: dict[str, object]
 
     from geoorbit_ros.core.lanes import Lane
     from geoorbit_ros.core.tables import TRACK_DTYPE
-    from geoorbit_ros.federated.local_work import LocalResult
+    from geoorbit_ros.federated.rounds.local_work import LocalResult
     from geoorbit_ros.learning import camera_session
     from geoorbit_ros.learning.camera_learning import Lesson
     from geoorbit_ros.nodes.meta_client import MetaClientNode
-    from geoorbit_ros.nodes.process import make_executor
+    from geoorbit_ros.nodes.support.process import make_executor
 
     round_s, limit_s, tail_s = (
         float(str(settings.pop(name))) for name in ("round_s", "limit_s", "tail_s")

@@ -28,12 +28,12 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+
+from geoorbit_ros.nodes.support.composition import Composition
 from soak.findings import draw, figures, print_tables, write_memory
 from soak.fleets import Pictures, rendered_fleet, tracks_fleet
 from soak.long_running import fill_memories
 from soak.watch import Samples, Watch
-
-from geoorbit_ros.nodes.composition import Composition
 
 START_LIMIT_S = 120.0
 STOP_LIMIT_S = 30.0

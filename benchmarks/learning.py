@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from geoorbit_ros.cli.learning_progress import shown_progress
+from geoorbit_ros.cli.console import shown_progress
 from geoorbit_ros.learning.evaluation import BASELINE, FEDMETA, META, ModelResult, evaluate
 from geoorbit_ros.learning.study import open_study, train_study
 from geoorbit_ros.learning.training import MODES, RunSettings
-from geoorbit_ros.metrics.composite import TERMS
+from geoorbit_ros.metrics.paper_losses import TERMS
 
 STUDIES = Path(__file__).parents[1] / "params" / "studies"
 HALF = 0.5

@@ -2,7 +2,7 @@
 
 Each scene is filmed for a minute as the end-to-end measurement does it, written as video and read
 again; the detector first sees the recording once to learn the road, as `geoorbit detect` does it.
-Recall and precision are those within the useful range (`geoorbit_ros.metrics.detection_score`):
+Recall and precision are those within the useful range (`scores.detection_score`):
 boxes at least 16 px high in an image 1280 wide, of vehicles at least half visible.
 
     python benchmarks/motion.py [--scenes NAME,…] [--seeds 1,…] [--cache FOLDER] [--every 1]
@@ -22,19 +22,19 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from end_to_end import filmed
 from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from end_to_end import filmed
+from geoorbit_ros.cli.camera_run import prime_detector
 from geoorbit_ros.cli.console import error_console, make_progress
-from geoorbit_ros.cli.priming import prime_detector
 from geoorbit_ros.core.tables import FLAG_TRUNCATED, PIXEL_TRACK_DTYPE
-from geoorbit_ros.detection.motion import MotionDetector
-from geoorbit_ros.metrics.detection_score import DetectionScore
+from geoorbit_ros.detection.motion.detector import MotionDetector
 from geoorbit_ros.scenes.scene import shipped_scenes
 from geoorbit_ros.storage.frames.open_source import open_frame_source
 from geoorbit_ros.storage.mot_text import read_mot_tracks
+from scores.detection_score import DetectionScore
 
 NIGHT = "night_sparse"
 NEEDED = 0.9

@@ -25,7 +25,7 @@ import onnxruntime
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
-from geoorbit_ros.detection.onnx_yolo import OnnxYolo, YoloOptions
+from geoorbit_ros.detection.onnx.yolo import OnnxYolo, YoloOptions
 
 SIDE, CELLS, CLASSES = 640, 8400, 80
 BUDGET_MS = 3.0

@@ -11,8 +11,8 @@ import json
 import sys
 import time
 
-from geoorbit_ros.scenes.render.conditions import Conditions
-from geoorbit_ros.scenes.render.rendered_scene import RenderedScene, render_scene
+from geoorbit_ros.rendering.conditions import Conditions
+from geoorbit_ros.rendering.rendered_scene import RenderedScene, render_scene
 from geoorbit_ros.scenes.scene import load_scene
 
 SCENE, SIZE, FPS, SEED = "straight_3x3", (1280, 720), 25.0, 3

@@ -20,9 +20,9 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import PointCloud2
 
 from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE, TRACK_DTYPE, Frames
-from geoorbit_ros.storage.bag import read_track_bag, write_track_bag
-from geoorbit_ros.storage.database import TrajectoryDatabase, TrajectoryReader
+from geoorbit_ros.storage.database.writer import TrajectoryDatabase, TrajectoryReader
 from geoorbit_ros.storage.pointcloud2 import decode_table, encode_table
+from geoorbit_ros.storage.track_bag import read_track_bag, write_track_bag
 from geoorbit_ros.storage.track_csv import read_track_csv, write_track_csv
 
 FRAMES, VEHICLES, REPEATS = 1800, 20, 3

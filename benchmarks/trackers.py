@@ -32,15 +32,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.core.boxes import box_corners
 from geoorbit_ros.core.tables import DETECTION_DTYPE, FLAG_PREDICTED, PIXEL_TRACK_DTYPE, Frames
-from geoorbit_ros.detection.motion import MotionDetector
-from geoorbit_ros.metrics.tracking_score import score_tracks
-from geoorbit_ros.scenes.render.rendered_scene import render_scene
+from geoorbit_ros.detection.motion.detector import MotionDetector
+from geoorbit_ros.rendering.rendered_scene import render_scene
 from geoorbit_ros.scenes.scene import Scene, load_scene
 from geoorbit_ros.scenes.simulate import simulate
 from geoorbit_ros.tracking.parameters import TrackerParameters
 from geoorbit_ros.tracking.tracker import Tracker
+from scores.detection_score import box_corners
+from scores.tracking_score import score_tracks
 
 PYTHON = "GEOORBIT_TRACKERS_PYTHON"
 PEER = Path(__file__).parent / "peers" / "track_boxes.py"

@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.core.tables import TRACK_DTYPE
+from geoorbit_ros.roadnet.network import RoadNetwork, load_network
 from geoorbit_ros.scenes.network import write_network
 from geoorbit_ros.scenes.road_plan import Bend, Opposite, Road, Start, Straight
 from geoorbit_ros.scenes.roads import PlacedRoad, place_roads
 from geoorbit_ros.scenes.scene import load_scene
-from geoorbit_ros.twin.network import RoadNetwork, load_network
 from geoorbit_ros.twin.simulation import SumoSimulation, backend_of
 from geoorbit_ros.twin.synchronizer import Synchronizer
 
@@ -108,7 +108,7 @@ def measure(net: Path, backend: str, count: int) -> Cost:
     twin = Synchronizer(network, simulation, ["c"], STEP_S, 1.5, lambda _: None)
     took, cpu_s, before_s = list[float](), 0.0, 0.0
     gc.collect()
-    gc.freeze()  # as the node does (nodes/process.py)
+    gc.freeze()  # as the node does (nodes/support/process.py)
     for k in range(WARM_UP + STEPS[count][backend]):
         rows = traffic.rows(k * STEP_S)
         if k == WARM_UP:

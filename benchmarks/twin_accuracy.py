@@ -22,16 +22,20 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
-from counted_lanes import CountedLanes
 from numpy.typing import NDArray
 
+from counted_lanes import CountedLanes
 from geoorbit_ros.calibration.box_projector import BoxProjector
 from geoorbit_ros.calibration.control_points import read_control_points
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.core.tables import DETECTION_DTYPE
-from geoorbit_ros.lanes.factory import make_estimator
-from geoorbit_ros.lanes.mapper import LaneMapper
+from geoorbit_ros.lanes.estimators.registry import make_estimator
+from geoorbit_ros.lanes.mapping.mapper import LaneMapper
 from geoorbit_ros.lanes.pipeline import map_lanes, project_frames
+from geoorbit_ros.mapcheck.driven_lanes import as_driven
+from geoorbit_ros.mapcheck.patch import patch_network
+from geoorbit_ros.mapcheck.validation import validate
+from geoorbit_ros.roadnet.network import load_network
 from geoorbit_ros.scenes.network import write_network
 from geoorbit_ros.scenes.roads import place_roads
 from geoorbit_ros.scenes.scene import load_scene, shipped_scenes
@@ -40,13 +44,9 @@ from geoorbit_ros.scenes.traffic import simulate_traffic
 from geoorbit_ros.storage.track_csv import read_track_csv
 from geoorbit_ros.tracking.parameters import TrackerParameters
 from geoorbit_ros.tracking.tracker import Tracker
-from geoorbit_ros.twin.driven_lanes import as_driven
-from geoorbit_ros.twin.network import load_network
-from geoorbit_ros.twin.patch import patch_network
 from geoorbit_ros.twin.replay import STEP_S, TrackStream, replay_tracks
 from geoorbit_ros.twin.simulation import SumoSimulation
-from geoorbit_ros.twin.truth import LaneTruth
-from geoorbit_ros.twin.validation import validate
+from scores.twin_truth import LaneTruth
 
 DURATION_S = 60.0
 IMAGE_SIZE = (1920, 1080)

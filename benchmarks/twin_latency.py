@@ -19,19 +19,19 @@ from pathlib import Path
 
 import numpy as np
 from geometry_msgs.msg import PoseArray
-from live_camera import start
 from rclpy.node import Node
 from sensor_msgs.msg import NavSatFix, PointCloud2
-from twin import DATUM, STEP_S, MadeTraffic, made_roads
 
 from geoorbit_ros.conversions import datum_to_fix
 from geoorbit_ros.fleet.plan import NodePlan, ProcessPlan
-from geoorbit_ros.nodes.composition import Composition
-from geoorbit_ros.nodes.latched import LATCHED
-from geoorbit_ros.nodes.table_stream import stream_qos
+from geoorbit_ros.nodes.support.composition import Composition
+from geoorbit_ros.nodes.support.qos import LATCHED
+from geoorbit_ros.nodes.support.table_stream import stream_qos
+from geoorbit_ros.roadnet.network import load_network
 from geoorbit_ros.scenes.network import write_network
 from geoorbit_ros.storage.pointcloud2 import encode_table
-from geoorbit_ros.twin.network import load_network
+from live_camera import start
+from twin import DATUM, STEP_S, MadeTraffic, made_roads
 
 LATENCY_S = 0.02
 WARM_UP_FRAMES = 30

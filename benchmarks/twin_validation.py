@@ -29,19 +29,19 @@ from geoorbit_ros.calibration.box_projector import BoxProjector
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.core.errors import NoTrafficError
 from geoorbit_ros.core.lanes import Lane
-from geoorbit_ros.lanes.factory import make_estimator
-from geoorbit_ros.lanes.mapper import LaneMapper
+from geoorbit_ros.core.polylines import project, sample
+from geoorbit_ros.lanes.estimators.registry import make_estimator
+from geoorbit_ros.lanes.mapping.mapper import LaneMapper
 from geoorbit_ros.lanes.pipeline import map_lanes, project_frames
-from geoorbit_ros.metrics.polyline import project, sample
+from geoorbit_ros.mapcheck.patch import patch_network
+from geoorbit_ros.mapcheck.validation import Validation, validate
+from geoorbit_ros.roadnet.network import RoadNetwork, load_network
 from geoorbit_ros.scenes.network import write_network
 from geoorbit_ros.scenes.random_scene import RandomSceneError, random_scene
 from geoorbit_ros.scenes.roads import place_roads
 from geoorbit_ros.scenes.scene import Scene, load_scene, shipped_scenes
 from geoorbit_ros.scenes.simulate import simulate
-from geoorbit_ros.twin.map_errors import SHIFT_M, WIDTH_M, Error, plant
-from geoorbit_ros.twin.network import RoadNetwork, load_network
-from geoorbit_ros.twin.patch import patch_network
-from geoorbit_ros.twin.validation import Validation, validate
+from scores.map_errors import SHIFT_M, WIDTH_M, Error, plant
 
 DURATION_S = 60.0
 MIN_LENGTH_M = 30.0

@@ -28,16 +28,16 @@ from geoorbit_ros.calibration.box_projector import BoxProjector
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.core.lanes import Lane, LaneMap
 from geoorbit_ros.core.resources import share_path
-from geoorbit_ros.lanes.candidates import find_ridges
-from geoorbit_ros.lanes.corridors import Corridor, find_corridors
-from geoorbit_ros.lanes.evidence import Evidence
-from geoorbit_ros.lanes.factory import make_estimator
-from geoorbit_ros.lanes.mapper import LaneMapper
+from geoorbit_ros.lanes.estimators.curvilinear.candidates import find_ridges
+from geoorbit_ros.lanes.estimators.curvilinear.corridors import Corridor, find_corridors
+from geoorbit_ros.lanes.estimators.curvilinear.evidence import Evidence
+from geoorbit_ros.lanes.estimators.curvilinear.profiles import lateral_profiles
+from geoorbit_ros.lanes.estimators.curvilinear.reference_line import RUN_OUT_M
+from geoorbit_ros.lanes.estimators.curvilinear.trajectory_segments import Passes
+from geoorbit_ros.lanes.estimators.registry import make_estimator
+from geoorbit_ros.lanes.mapping.mapper import LaneMapper
 from geoorbit_ros.lanes.parameters import LaneParameters
-from geoorbit_ros.lanes.passes import Passes
 from geoorbit_ros.lanes.pipeline import StampedRows, map_lanes, project_frames
-from geoorbit_ros.lanes.profiles import lateral_profiles
-from geoorbit_ros.lanes.spine import RUN_OUT_M
 from geoorbit_ros.scenes.scene import load_scene
 from geoorbit_ros.scenes.simulate import SceneRun, simulate
 

@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.scenes.render.conditions import Conditions
-from geoorbit_ros.scenes.render.rendered_scene import render_scene
+from geoorbit_ros.rendering.conditions import Conditions
+from geoorbit_ros.rendering.rendered_scene import render_scene
 from geoorbit_ros.scenes.scene import load_scene
 
 PATH = Path(__file__).parent / "images" / "scenes-rendered.jpg"

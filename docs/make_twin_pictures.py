@@ -12,17 +12,17 @@ from pathlib import Path
 
 from geoorbit_ros.calibration.box_projector import BoxProjector
 from geoorbit_ros.calibration.homography import fit_homography
-from geoorbit_ros.lanes.factory import make_estimator
-from geoorbit_ros.lanes.mapper import LaneMapper
+from geoorbit_ros.lanes.estimators.registry import make_estimator
+from geoorbit_ros.lanes.mapping.mapper import LaneMapper
 from geoorbit_ros.lanes.pipeline import map_lanes, project_frames
+from geoorbit_ros.mapcheck.patch import patch_network
+from geoorbit_ros.mapcheck.validation_image import save_validation
+from geoorbit_ros.roadnet.network import load_network
 from geoorbit_ros.scenes.network import write_network
 from geoorbit_ros.scenes.roads import place_roads
 from geoorbit_ros.scenes.scene import load_scene
 from geoorbit_ros.scenes.simulate import simulate
-from geoorbit_ros.twin.map_errors import Error, plant
-from geoorbit_ros.twin.network import load_network
-from geoorbit_ros.twin.patch import patch_network
-from geoorbit_ros.twin.validation_picture import save_validation
+from scores.map_errors import Error, plant
 
 IMAGES = Path(__file__).parent / "images"
 SCENE, DURATION_S, SEED = "straight_3x3", 60.0, 1

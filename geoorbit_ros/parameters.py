@@ -18,7 +18,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from geoorbit_ros.core.errors import ParameterError
-from geoorbit_ros.core.own_class import FORM, is_own_class
+from geoorbit_ros.core.plugins import FORM, is_own_class
 from geoorbit_ros.core.resources import share_path
 
 _TYPES: dict[str, type] = {"bool": bool, "int": int, "double": float, "string": str}

@@ -4,8 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.lanes import Lane
-from geoorbit_ros.metrics.polyline import offset_line
-from geoorbit_ros.twin.network import RoadNetwork
+from geoorbit_ros.core.polylines import offset_line
+from geoorbit_ros.roadnet.network import RoadNetwork
 
 FAR_M = 240.0
 

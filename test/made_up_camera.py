@@ -12,7 +12,7 @@ from geoorbit_ros.core.tables import (
     Frames,
     frames_from_rows,
 )
-from geoorbit_ros.storage.bag import write_track_bag
+from geoorbit_ros.storage.track_bag import write_track_bag
 
 CAMERA_ID = "north"
 IMAGE_SIZE = (1920, 1080)

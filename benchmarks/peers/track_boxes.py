@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import supervision  # type: ignore[import-not-found,unused-ignore]
+
 import trackers  # type: ignore[import-not-found,unused-ignore]
 
 TRACKERS = {"ByteTrack": "ByteTrackTracker", "OC-SORT": "OCSORTTracker"}

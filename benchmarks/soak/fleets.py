@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.rendering.conditions import Conditions
+from geoorbit_ros.rendering.output import VIDEO, write_rendered_scene
+from geoorbit_ros.rendering.rendered_scene import render_scene
 from geoorbit_ros.scenes.network import write_network
 from geoorbit_ros.scenes.output import CALIBRATION, write_scene_run
-from geoorbit_ros.scenes.render.conditions import Conditions
-from geoorbit_ros.scenes.render.output import VIDEO, write_rendered_scene
-from geoorbit_ros.scenes.render.rendered_scene import render_scene
 from geoorbit_ros.scenes.roads import place_roads
 from geoorbit_ros.scenes.scene import Scene, load_scene, shipped_scenes
 from geoorbit_ros.scenes.simulate import simulate

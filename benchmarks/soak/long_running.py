@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from geoorbit_ros.cli.inputs import CameraInput, load_camera
-from geoorbit_ros.lanes.evidence import MAX_PASSES
-from geoorbit_ros.lanes.factory import make_estimator
-from geoorbit_ros.lanes.mapper import LaneMapper
-from geoorbit_ros.lanes.memory import LaneMemory
+from geoorbit_ros.lanes.estimators.curvilinear.evidence import MAX_PASSES
+from geoorbit_ros.lanes.estimators.registry import make_estimator
+from geoorbit_ros.lanes.mapping.live_mapper import LaneMemory
+from geoorbit_ros.lanes.mapping.mapper import LaneMapper
 from geoorbit_ros.lanes.pipeline import StampedRows, project_frames
 
 MOST_MINUTES = 180

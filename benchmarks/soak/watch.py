@@ -16,8 +16,8 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import PointCloud2
 
 from geoorbit_ros.fleet.health import Row, rows
-from geoorbit_ros.nodes.composition import Composition
-from geoorbit_ros.nodes.status_listener import StatusListener
+from geoorbit_ros.nodes.support.composition import Composition
+from geoorbit_ros.nodes.support.status_listener import StatusListener
 from soak.processes import usage
 
 TOPICS = {"tracks": PointCloud2, "lanes": PoseArray}

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.camera_pose import CameraPose, recover_pose
 from geoorbit_ros.calibration.homography import Homography
-from geoorbit_ros.calibration.motion import MotionFilter
 from geoorbit_ros.calibration.plane import worst_sigma
-from geoorbit_ros.calibration.track_slots import TrackSlots
+from geoorbit_ros.calibration.track_velocity import MotionFilter, TrackSlots
 from geoorbit_ros.calibration.vehicle_fit import fit_vehicles
 from geoorbit_ros.calibration.vehicle_size import SizeFilter
 from geoorbit_ros.core.errors import CalibrationError, TableError

@@ -49,7 +49,7 @@ def from_csv(
     from geoorbit_ros.cli.console import status
     from geoorbit_ros.cli.units import format_size
     from geoorbit_ros.core.errors import CalibrationError
-    from geoorbit_ros.storage.bag import describe_bag, write_track_bag
+    from geoorbit_ros.storage.track_bag import describe_bag, write_track_bag
     from geoorbit_ros.storage.track_csv import read_track_csv
 
     with status("reading"):
@@ -84,7 +84,7 @@ def info(
     """
     from geoorbit_ros.cli.console import console, make_table
     from geoorbit_ros.cli.units import format_size, format_time
-    from geoorbit_ros.storage.bag import describe_bag
+    from geoorbit_ros.storage.track_bag import describe_bag
 
     found = describe_bag(bag)
     seconds = found.duration_ns / 1e9

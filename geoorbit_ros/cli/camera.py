@@ -50,19 +50,18 @@ def add(
     """
     import cv2
 
-    from geoorbit_ros.cli.camera_run import CameraRun, WatchedMapper
+    from geoorbit_ros.cli.camera_run import CameraRun, WatchedMapper, prime_detector
     from geoorbit_ros.cli.console import console, say, status
     from geoorbit_ros.cli.inputs import CameraInput, EstimatorName, load_calibration
-    from geoorbit_ros.cli.priming import prime_detector
     from geoorbit_ros.cli.process import DEFAULT_FPS, opened_source, shown_images
     from geoorbit_ros.cli.report import describe_method, save_report
     from geoorbit_ros.cli.tables import print_lanes
-    from geoorbit_ros.detection.factory import make_detector
+    from geoorbit_ros.detection.registry import make_detector
     from geoorbit_ros.fleet.fleet_entry import add_camera, check_new_camera, relative
-    from geoorbit_ros.lanes.factory import make_estimator
+    from geoorbit_ros.lanes.estimators.registry import make_estimator
     from geoorbit_ros.lanes.geojson import write_lanes
     from geoorbit_ros.lanes.pipeline import map_lanes
-    from geoorbit_ros.report.calibration_picture import draw_calibration
+    from geoorbit_ros.report.calibration_image import draw_calibration
     from geoorbit_ros.report.recording import Recording
     from geoorbit_ros.scenes.output import check_new_folder
     from geoorbit_ros.storage.atomic import atomic_output
@@ -111,7 +110,7 @@ def add(
 
 def _print_calibration(homography: Homography, image_size: tuple[int, int]) -> None:
     from geoorbit_ros.cli.console import console, make_table, say
-    from geoorbit_ros.report.calibration_picture import REACH_M, reach
+    from geoorbit_ros.report.calibration_image import REACH_M, reach
 
     table = make_table("Control points", ">point|>pixel x|>pixel y|>error px|>error m|used")
     residual = homography.residual

@@ -7,6 +7,7 @@ from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,14 +18,82 @@ from geoorbit_ros.core.errors import NoTrafficError
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.core.tables import FLAG_PREDICTED, PIXEL_TRACK_DTYPE, Frames
 from geoorbit_ros.detection.detector import Detector
-from geoorbit_ros.lanes.mapper import LaneMapper
+from geoorbit_ros.lanes.mapping.mapper import LaneMapper
 from geoorbit_ros.lanes.pipeline import StampedRows
 from geoorbit_ros.report.image_overlay import ImageOverlay
-from geoorbit_ros.scenes.render.video import VideoFile
-from geoorbit_ros.storage.frames.source import StampedImage
-from geoorbit_ros.tracking.image_tracks import TrackedImage, track_images
+from geoorbit_ros.storage.frames.source import FrameSource, StampedImage
+from geoorbit_ros.storage.video_writer import VideoFile
 from geoorbit_ros.tracking.parameters import TrackerParameters
 from geoorbit_ros.tracking.tracker import Tracker
+
+SPACING_S = 0.25
+"""Time between the images looked at."""
+LONGEST_S = 120.0
+"""Of a longer recording, the beginning."""
+
+
+def prime_detector(detector: Detector, images: FrameSource, duration_s: float | None) -> None:
+    """Let the detector see a recording once, under a progress bar; a stream can't be seen twice.
+
+    A detector that learns nothing takes no image, so that nothing is read.
+    """
+    if not images.live:
+        detector.prime(_some(images, min(duration_s or LONGEST_S, LONGEST_S)))
+
+
+def _some(images: FrameSource, duration_s: float) -> Iterator[StampedImage]:
+    from geoorbit_ros.cli.console import track
+
+    count = images.frame_count
+    if images.fps:
+        count = min(count or 10**9, round(duration_s * images.fps))
+    first_ns = last_ns = None
+    for stamp_ns, image in track(images, "learning the road", count):
+        first_ns = stamp_ns if first_ns is None else first_ns
+        if stamp_ns - first_ns >= duration_s * 1e9:
+            return
+        if last_ns is None or stamp_ns - last_ns >= SPACING_S * 1e9:
+            last_ns = stamp_ns
+            yield stamp_ns, image
+
+
+class BoxTracker(Protocol):
+    """What gives detections their identity."""
+
+    def update(self, stamp_ns: int, detections: NDArray[np.void]) -> NDArray[np.void]:
+        """Tracks at `stamp_ns`, `PIXEL_TRACK_DTYPE`, from `DETECTION_DTYPE` rows."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrackedImage:
+    """One image and what was seen in it.
+
+    Attributes:
+        stamp_ns: Capture time.
+        image: (H, W, 3) uint8 BGR.
+        detections: (N,) `DETECTION_DTYPE`.
+        tracks: (M,) `PIXEL_TRACK_DTYPE`.
+    """
+
+    stamp_ns: int
+    image: NDArray[np.uint8]
+    detections: NDArray[np.void]
+    tracks: NDArray[np.void]
+
+
+def track_images(
+    frames: Iterable[tuple[int, NDArray[np.uint8]]], detector: Detector, tracker: BoxTracker
+) -> Iterator[TrackedImage]:
+    """Detect and track frame by frame.
+
+    Args:
+        frames: Capture time and image, in time order.
+        detector: One that has seen no image yet.
+        tracker: One that has seen no frame yet.
+    """
+    for stamp_ns, image in frames:
+        detections = detector.detect(stamp_ns, image)
+        yield TrackedImage(stamp_ns, image, detections, tracker.update(stamp_ns, detections))
 
 
 class WatchedMapper(LaneMapper):

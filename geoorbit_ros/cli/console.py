@@ -3,17 +3,43 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import time
 from collections.abc import Iterable, Iterator, Sized
 from contextlib import contextmanager
+from threading import Event
+from types import FrameType
 from typing import TYPE_CHECKING, TypeVar
 
 from rich.console import Console
 
 if TYPE_CHECKING:
-    from rich.progress import Progress
+    from rich.progress import Progress as RichProgress
     from rich.table import Table
+
+    from geoorbit_ros.learning.processes import Progress
+
+
+@contextmanager
+def told_to_end() -> Iterator[Event]:
+    """An event that SIGINT and SIGTERM set, instead of an exception in the middle of a callback.
+
+    A second signal ends the process at once.
+    """
+    event = Event()
+
+    def note(number: int, _frame: FrameType | None) -> None:
+        event.set()
+        signal.signal(number, signal.SIG_DFL)
+
+    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield event
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
 
 _PIPED_WIDTH = 120
 """Columns where no terminal has any: rich's 80 cut tables in log files."""
@@ -33,7 +59,7 @@ _Item = TypeVar("_Item")
 _MIN_REDRAW_S = 0.1
 
 
-def make_progress() -> Progress:
+def make_progress() -> RichProgress:
     """A progress display on standard error that vanishes when it ends; silent when piped."""
     from rich.progress import (
         BarColumn,
@@ -100,3 +126,15 @@ def make_table(title: str, columns: str) -> Table:
         right = column.startswith(">")
         table.add_column(column.lstrip(">"), justify="right" if right else "left", no_wrap=True)
     return table
+
+
+@contextmanager
+def shown_progress() -> Iterator[Progress]:
+    """A callback that shows each step as a bar of its own; finished ones vanish."""
+    with make_progress() as bars:
+        task = bars.add_task("preparing", total=1.0)
+
+        def report(what: str, share: float) -> None:
+            bars.update(task, description=what, completed=share)
+
+        yield report

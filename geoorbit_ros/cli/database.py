@@ -24,7 +24,7 @@ def info(database: DatabaseArgument) -> None:
     """
     from geoorbit_ros.cli.console import console, make_table
     from geoorbit_ros.cli.units import count_of, format_size, format_time
-    from geoorbit_ros.storage.database_reader import TrajectoryReader
+    from geoorbit_ros.storage.database.reader import TrajectoryReader
 
     with TrajectoryReader(database) as reader:
         cameras = reader.cameras()
@@ -66,8 +66,8 @@ def export(
     """
     from geoorbit_ros.cli.console import make_progress
     from geoorbit_ros.cli.units import format_size, parse_time
-    from geoorbit_ros.storage.database_reader import TrajectoryReader
-    from geoorbit_ros.storage.export import export_tracks
+    from geoorbit_ros.storage.database.export import export_tracks
+    from geoorbit_ros.storage.database.reader import TrajectoryReader
 
     start_ns = None if start is None else parse_time(start, "option --from")
     end_ns = None if end is None else parse_time(end, "option --to")

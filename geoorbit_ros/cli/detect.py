@@ -62,9 +62,9 @@ def detect(
     Example: [bold]geoorbit detect north.mp4 --out det.txt[/bold], then
     [bold]geoorbit track --detections det.txt --fps 25 --out tracks.txt[/bold]
     """
+    from geoorbit_ros.cli.camera_run import prime_detector
     from geoorbit_ros.cli.console import console, status
-    from geoorbit_ros.cli.priming import prime_detector
-    from geoorbit_ros.detection.factory import make_detector
+    from geoorbit_ros.detection.registry import make_detector
     from geoorbit_ros.storage.mot_text import write_mot
 
     if picture and picture.suffix.lower() not in (".png", ".jpg", ".jpeg"):
@@ -93,8 +93,8 @@ class _Run:
     ) -> Iterator[tuple[int, NDArray[np.void]]]:
         """Number and rows of every image; at the end, draws the picture."""
         from geoorbit_ros.cli.console import track
-        from geoorbit_ros.detection.drawing import draw_segments, write_picture
         from geoorbit_ros.detection.road_segments import RoadSegments
+        from geoorbit_ros.report.image_overlay import draw_segments, write_picture
 
         counts = [images.frame_count] if images.frame_count else []
         if duration_s is not None and images.fps:
@@ -120,7 +120,7 @@ class _Run:
 
 def _opened(source: str, fps: float | None, duration_s: float | None) -> FrameSource:
     from geoorbit_ros.cli.console import error_console, status
-    from geoorbit_ros.scenes.frame_source import SCENES
+    from geoorbit_ros.rendering.frame_source import SCENES
     from geoorbit_ros.storage.frames.open_source import open_frame_source
     from geoorbit_ros.storage.frames.source import SourceOptions
 

@@ -19,14 +19,13 @@ def evaluate(
 
     Example: [bold]geoorbit evaluate --out study[/bold]
     """
-    from geoorbit_ros.cli.console import console, make_table
+    from geoorbit_ros.cli.console import console, make_table, shown_progress
     from geoorbit_ros.cli.inputs import EstimatorName
-    from geoorbit_ros.cli.learning_progress import shown_progress
     from geoorbit_ros.core.errors import InputFileError
-    from geoorbit_ros.learning import study_tables
+    from geoorbit_ros.learning import study_report as study_tables
     from geoorbit_ros.learning.evaluation import evaluate as judge
     from geoorbit_ros.learning.study import open_study
-    from geoorbit_ros.learning.study_figures import draw_losses
+    from geoorbit_ros.learning.study_report import draw_losses
 
     study = open_study(out, workers=workers)
     folder = out / "evaluation"

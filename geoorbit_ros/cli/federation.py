@@ -38,6 +38,6 @@ def epsilon(
 
     Example: [bold]geoorbit federation epsilon 4 20[/bold]
     """
-    from geoorbit_ros.federated.privacy import epsilon as privacy_loss
+    from geoorbit_ros.federated.privacy.differential import epsilon as privacy_loss
 
     typer.echo(f"epsilon = {privacy_loss(noise, rounds, delta):.2f} at delta = {delta:g}")

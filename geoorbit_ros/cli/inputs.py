@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from geoorbit_ros.calibration.datum import Datum
     from geoorbit_ros.calibration.homography import Homography
     from geoorbit_ros.core.tables import Frames
-    from geoorbit_ros.lanes.mapper import LaneMapper
+    from geoorbit_ros.lanes.mapping.mapper import LaneMapper
     from geoorbit_ros.lanes.pipeline import StampedRows
 
 
@@ -160,7 +160,7 @@ def load_camera(
 
             name, frames = tracks.absolute().parent.name or "camera", read_track_csv(tracks, size)
         else:
-            from geoorbit_ros.storage.bag import read_track_bag
+            from geoorbit_ros.storage.track_bag import read_track_bag
 
             content = read_track_bag(source, camera_id)
             name, frames = content.camera_id, content.frames
@@ -185,8 +185,8 @@ def load_calibration(calibration: Path, datum: str | None) -> tuple[Homography, 
 
 def make_mapper(estimator: str, update_period_s: float) -> LaneMapper:
     """A fresh mapper with the default detection parameters."""
-    from geoorbit_ros.lanes.factory import make_estimator
-    from geoorbit_ros.lanes.mapper import LaneMapper
+    from geoorbit_ros.lanes.estimators.registry import make_estimator
+    from geoorbit_ros.lanes.mapping.mapper import LaneMapper
     from geoorbit_ros.lanes.parameters import LaneParameters
 
     return LaneMapper(make_estimator(estimator), LaneParameters(), update_period_s)

@@ -14,7 +14,7 @@ from typing import Annotated
 import typer
 
 from geoorbit_ros import __version__
-from geoorbit_ros.cli import bag, camera, database, federation, scene, twin, twin_forecast
+from geoorbit_ros.cli import bag, camera, database, federation, scene
 from geoorbit_ros.cli import map as road_map
 from geoorbit_ros.cli.demo import demo
 from geoorbit_ros.cli.detect import detect
@@ -28,6 +28,8 @@ from geoorbit_ros.cli.score import score
 from geoorbit_ros.cli.status import status
 from geoorbit_ros.cli.track import track
 from geoorbit_ros.cli.train import train
+from geoorbit_ros.cli.twin import forecast as twin_forecast
+from geoorbit_ros.cli.twin import replay as twin
 from geoorbit_ros.cli.up import up
 from geoorbit_ros.cli.view import view
 from geoorbit_ros.core.errors import GeoOrbitError

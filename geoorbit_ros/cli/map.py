@@ -10,7 +10,7 @@ import typer
 from geoorbit_ros.cli.inputs import DatumOption
 
 if TYPE_CHECKING:
-    from geoorbit_ros.twin.map_build import BuiltMap
+    from geoorbit_ros.roadnet.map_build import BuiltMap
 
 app = typer.Typer(help="Road networks for the digital twin.", no_args_is_help=True)
 
@@ -47,9 +47,9 @@ def build(
     from geoorbit_ros.cli.console import console, status
     from geoorbit_ros.cli.inputs import parse_datum
     from geoorbit_ros.core.errors import ParameterError
+    from geoorbit_ros.roadnet.map_build import build_from_network, build_from_osm
     from geoorbit_ros.storage.atomic import atomic_output
-    from geoorbit_ros.twin.map_build import build_from_network, build_from_osm
-    from geoorbit_ros.twin.picture import save_map
+    from geoorbit_ros.twin.image import save_map
 
     origin = parse_datum(datum)
     with atomic_output(out) as folder:

@@ -68,13 +68,12 @@ def process(
 
     Example: [bold]geoorbit process north.mp4 --calibration calibration.csv --out north[/bold]
     """
-    from geoorbit_ros.cli.camera_run import CameraRun, WatchedMapper
+    from geoorbit_ros.cli.camera_run import CameraRun, WatchedMapper, prime_detector
     from geoorbit_ros.cli.console import console, status
-    from geoorbit_ros.cli.priming import prime_detector
     from geoorbit_ros.cli.report import describe_method, save_report
     from geoorbit_ros.cli.tables import print_lanes
-    from geoorbit_ros.detection.factory import make_detector
-    from geoorbit_ros.lanes.factory import make_estimator
+    from geoorbit_ros.detection.registry import make_detector
+    from geoorbit_ros.lanes.estimators.registry import make_estimator
     from geoorbit_ros.lanes.geojson import write_lanes
     from geoorbit_ros.lanes.pipeline import map_lanes
     from geoorbit_ros.report.recording import Recording
@@ -125,8 +124,8 @@ def opened_source(source: str, fps: float | None, duration_s: float | None) -> F
         GeoOrbitError: It can't be opened, or is a stream and nobody said for how long.
     """
     from geoorbit_ros.cli.console import error_console, status
-    from geoorbit_ros.scenes.frame_source import SCENES
-    from geoorbit_ros.storage.frames.live import LiveFrames
+    from geoorbit_ros.rendering.frame_source import SCENES
+    from geoorbit_ros.storage.frames.feed import LiveFrames
     from geoorbit_ros.storage.frames.open_source import open_frame_source
     from geoorbit_ros.storage.frames.source import SourceOptions
 

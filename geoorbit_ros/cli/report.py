@@ -87,7 +87,7 @@ def save_report(
 ) -> None:
     """Write the page for lanes that are already known."""
     from geoorbit_ros.report.page import ReportInput, write_report
-    from geoorbit_ros.report.provenance import provenance
+    from geoorbit_ros.report.recording import provenance
     from geoorbit_ros.storage.atomic import atomic_output
 
     made = provenance(

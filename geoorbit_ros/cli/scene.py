@@ -104,12 +104,12 @@ def render(
     then [bold]geoorbit process cam/video.mp4 --calibration cam/calibration.csv --out result[/bold]
     """
     from geoorbit_ros.cli.console import console, say
+    from geoorbit_ros.rendering.conditions import Conditions
+    from geoorbit_ros.rendering.output import write_rendered_scene, write_video
+    from geoorbit_ros.rendering.rendered_scene import render_scene
     from geoorbit_ros.scenes.output import check_new_folder
-    from geoorbit_ros.scenes.render.conditions import Conditions
-    from geoorbit_ros.scenes.render.output import write_rendered_scene, write_video
-    from geoorbit_ros.scenes.render.rendered_scene import render_scene
-    from geoorbit_ros.scenes.render.video import check_suffix, is_video
     from geoorbit_ros.scenes.scene import load_scene
+    from geoorbit_ros.storage.video_writer import check_suffix, is_video
 
     description = load_scene(scene)
     conditions = Conditions(light.value, rain, shake, clouds)

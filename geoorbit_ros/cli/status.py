@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from geoorbit_ros.fleet.health import Row
-    from geoorbit_ros.nodes.composition import Composition
-    from geoorbit_ros.nodes.status_listener import StatusListener
+    from geoorbit_ros.nodes.support.composition import Composition
+    from geoorbit_ros.nodes.support.status_listener import StatusListener
 
 SETTLE_S, LISTEN_S = 3.0, 6.0
 """`--once` listens at least and, while something isn't healthy, at most this long: discovery takes
@@ -47,8 +47,8 @@ def status(
     from geoorbit_ros.fleet.fleet_file import load_fleet
     from geoorbit_ros.fleet.health import rows
     from geoorbit_ros.fleet.plan import expected_nodes
-    from geoorbit_ros.nodes.composition import Composition
-    from geoorbit_ros.nodes.status_listener import StatusListener
+    from geoorbit_ros.nodes.support.composition import Composition
+    from geoorbit_ros.nodes.support.status_listener import StatusListener
 
     expected = None
     if fleet is not None:
@@ -79,8 +79,7 @@ def _watch(
 ) -> None:
     from rich.live import Live
 
-    from geoorbit_ros.cli.console import console
-    from geoorbit_ros.cli.interrupt import told_to_end
+    from geoorbit_ros.cli.console import console, told_to_end
     from geoorbit_ros.fleet.health import rows
 
     drawn = 0.0

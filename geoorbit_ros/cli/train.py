@@ -57,8 +57,7 @@ def train(
     Example: [bold]geoorbit train params/studies/small.yaml --rounds 20 --out study[/bold],
     then [bold]geoorbit evaluate --out study[/bold]
     """
-    from geoorbit_ros.cli.console import console, make_table
-    from geoorbit_ros.cli.learning_progress import shown_progress
+    from geoorbit_ros.cli.console import console, make_table, shown_progress
     from geoorbit_ros.learning.study import open_study, train_study
     from geoorbit_ros.learning.training import RunSettings
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from geoorbit_ros.nodes.composition import Composition
+    from geoorbit_ros.nodes.support.composition import Composition
     from geoorbit_ros.nodes.viewer import ViewerNode
 
 DISCOVERY_S = 15.0
@@ -47,9 +47,8 @@ def view(
 
     Example: [bold]geoorbit view --bag bags/demo/bag --calibration bags/demo/calibration.csv[/bold]
     """
-    from geoorbit_ros.cli.console import console
-    from geoorbit_ros.cli.interrupt import told_to_end
-    from geoorbit_ros.nodes.composition import Composition
+    from geoorbit_ros.cli.console import console, told_to_end
+    from geoorbit_ros.nodes.support.composition import Composition
     from geoorbit_ros.nodes.viewer import ViewerNode
 
     if bag is None and domain_id is None:
@@ -91,7 +90,7 @@ def _add_bag(
     from geoorbit_ros.nodes.bag_player import BagPlayerNode
     from geoorbit_ros.nodes.homography import HomographyNode
     from geoorbit_ros.nodes.lane_geometry import LaneGeometryNode
-    from geoorbit_ros.storage.bag import read_track_bag
+    from geoorbit_ros.storage.track_bag import read_track_bag
 
     camera = read_track_bag(bag, camera_id).camera_id
     if calibration is not None:

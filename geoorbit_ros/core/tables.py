@@ -101,3 +101,12 @@ def frames_from_rows(stamp_ns: NDArray[np.int64], rows: NDArray[np.void]) -> Fra
     order = np.argsort(stamp_ns, kind="stable")
     stamps, start = np.unique(stamp_ns[order], return_index=True)
     return Frames(stamps, np.append(start, len(rows)).astype(np.int64), rows[order])
+
+
+UNKNOWN_CLASS = -1
+"""A tracker that was told no class: its tracks are taken for vehicles."""
+LARGE_CLASSES = (5, 7)
+"""Bus and truck."""
+VEHICLE_CLASSES = (UNKNOWN_CLASS, 2, 3, *LARGE_CLASSES)
+"""Car, motorcycle, bus and truck. People and bicycles have paths that are no lanes."""
+VEHICLE_CLASS_TEXT = "2 (car), 3 (motorcycle), 5 (bus), 7 (truck) or -1 (unknown)"

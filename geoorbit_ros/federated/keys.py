@@ -14,8 +14,8 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import (
     Ed25519PublicKey,
 )
 
-from geoorbit_ros.federated.envelope import SIGNATURE_BYTES, UNSIGNED
 from geoorbit_ros.federated.errors import FederationError, PayloadError, Refusal
+from geoorbit_ros.federated.payloads.envelope import SIGNATURE_BYTES, UNSIGNED
 
 
 class Signer:

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from geoorbit_ros.core.errors import GeoOrbitError, InputFileError
-from geoorbit_ros.core.own_class import file_of
+from geoorbit_ros.core.plugins import file_of
 from geoorbit_ros.fleet.federation_keys import ROSTER, SERVER_KEY, FederationKeys
 from geoorbit_ros.fleet.fleet_file import Camera, Fleet, Value
 

@@ -2,13 +2,67 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from pathlib import Path
 
 from geoorbit_ros.fleet.federation_keys import federation_keys
-from geoorbit_ros.fleet.fleet_file import Fleet
-from geoorbit_ros.fleet.plan import ProcessPlan, make_folders, plan_fleet, select
-from geoorbit_ros.fleet.sources import ask_sources
+from geoorbit_ros.fleet.fleet_file import Camera, Fleet
+from geoorbit_ros.fleet.plan import (
+    ProcessPlan,
+    calibration_file,
+    image_source,
+    make_folders,
+    plan_fleet,
+    select,
+)
+from geoorbit_ros.rendering.frame_source import SCENES, SceneFrames
+from geoorbit_ros.scenes.output import calibration_text
+from geoorbit_ros.storage.atomic import atomic_output
+from geoorbit_ros.storage.frames.open_source import open_frame_source
+from geoorbit_ros.storage.frames.source import SourceOptions
+
+
+def ask_sources(fleet: Fleet, base: Path, output: Path, chosen: Container[str]) -> Fleet:
+    """The fleet with the image sizes of chosen cameras; writes calibrations of made-up ones.
+
+    Args:
+        fleet: The fleet.
+        base: Folder that relative paths in the fleet file start from.
+        output: Made-up cameras' control points go to `calibration/<camera>.csv` in it.
+        chosen: Ids of the cameras to ask.
+
+    Raises:
+        GeoOrbitError: A video, folder or scene that can't be opened.
+    """
+    cameras = []
+    for camera in fleet.cameras:
+        if camera.id in chosen and camera.kind in ("scene", "file"):
+            size = (_ask_scene if camera.kind == "scene" else _ask_file)(camera, base, output)
+            cameras.append(camera.model_copy(update={"image_size": size}))
+        else:
+            cameras.append(camera)
+    return fleet.model_copy(update={"cameras": cameras})
+
+
+def _ask_scene(camera: Camera, base: Path, output: Path) -> tuple[int, int]:
+    frames = SceneFrames(image_source(camera, base), SourceOptions())
+    if camera.calibration is None:
+        points = frames.control_points
+        file = calibration_file(camera, base, output)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_output(file) as path:
+            geodetic = frames.datum.to_geodetic(points.local_m)
+            path.write_text(calibration_text(points.pixel, geodetic), encoding="utf-8")
+    return frames.image_size
+
+
+def _ask_file(camera: Camera, base: Path, _output: Path) -> tuple[int, int]:
+    source = open_frame_source(image_source(camera, base), SourceOptions(), SCENES)
+    try:
+        _, image = next(iter(source))
+    finally:
+        source.close()
+    return int(image.shape[1]), int(image.shape[0])
 
 
 def prepare(

@@ -248,7 +248,7 @@ class Supervisor:
 
 def group_command(plan_file: Path, heartbeat_fd: int) -> list[str]:
     """Run a plan's nodes in a process of their own."""
-    module = "geoorbit_ros.nodes.group"
+    module = "geoorbit_ros.nodes.support.group"
     return [sys.executable, "-m", module, str(plan_file), str(heartbeat_fd)]
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from geoorbit_ros import __version__
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.core.lanes import Lane, LaneMap
-from geoorbit_ros.lanes.geojson_read import (
+from geoorbit_ros.lanes.geojson_reader import (
     Collection,
     datum_of,
     lanes_of,

@@ -6,16 +6,32 @@ The node graph calls the same projector and mapper in the same order, frame by f
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.calibration.ground import GroundProjector
 from geoorbit_ros.core.errors import NoTrafficError
 from geoorbit_ros.core.lanes import LaneMap
-from geoorbit_ros.core.tables import Frames
-from geoorbit_ros.core.vehicle_classes import VEHICLE_CLASS_TEXT, VEHICLE_CLASSES
-from geoorbit_ros.lanes.mapper import LaneMapper
+from geoorbit_ros.core.tables import VEHICLE_CLASS_TEXT, VEHICLE_CLASSES, Frames
+from geoorbit_ros.lanes.mapping.mapper import LaneMapper
+
+
+class GroundProjector(Protocol):
+    """Turns one camera's tracked boxes into ground tracks, frame by frame, in time order."""
+
+    def project(self, stamp_ns: int, rows: NDArray[np.void]) -> NDArray[np.void]:
+        """Project one frame.
+
+        Args:
+            stamp_ns: Capture time of the frame, later than that of the previous call.
+            rows: (N,) `PIXEL_TRACK_DTYPE`.
+
+        Returns:
+            (M,) `TRACK_DTYPE`, M <= N: rows above the horizon are left out.
+        """
+        ...
+
 
 StampedRows = tuple[int, NDArray[np.void]]
 """Capture time in nanoseconds and the rows of one frame."""

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.federated.layout import Tensors
-from geoorbit_ros.federated.local_work import LocalResult, TrainingOrder
+from geoorbit_ros.federated.payloads.model_layout import Tensors
+from geoorbit_ros.federated.rounds.local_work import LocalResult, TrainingOrder
 from geoorbit_ros.learning.camera_task import CameraTask
 from geoorbit_ros.learning.meta_learner import MetaLearner
 from geoorbit_ros.learning.objective import Objective
@@ -44,7 +44,7 @@ def learn_from_camera(
 
     Args:
         task: The observation and its reference lanes; at least one.
-        estimator: A name of `lanes.factory`.
+        estimator: A name of `lanes.estimators.registry`.
         tensors: The global model.
         order: What to do, the round, and FedProx's penalty.
         best_theta: theta* of the same observation where it is known; None: search for it, which

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.tables import Frames
-from geoorbit_ros.federated.client import FederatedClient, Work
-from geoorbit_ros.federated.global_model import interface_digest
 from geoorbit_ros.federated.keys import Signer
-from geoorbit_ros.federated.outbox import Outbox
-from geoorbit_ros.federated.theta import ThetaPayload
+from geoorbit_ros.federated.payloads.global_model import interface_digest
+from geoorbit_ros.federated.payloads.lane_parameters import ThetaPayload
+from geoorbit_ros.federated.rounds.client import FederatedClient, Work
+from geoorbit_ros.federated.rounds.outbox import Outbox
 from geoorbit_ros.lanes.parameters import LaneParameters
 from geoorbit_ros.learning.camera_learning import Lesson, learn_from_camera
 from geoorbit_ros.learning.camera_task import CameraTask
@@ -41,7 +41,7 @@ class CameraSession:
     Args:
         client: The federated client.
         signer: Signs theta.
-        estimator: A name of `lanes.factory`.
+        estimator: A name of `lanes.estimators.registry`.
         observation_s: Length of an observation, by the stamps of the tracks.
         executor: Where training runs; a process, for it takes a core for seconds.
         resend_s: After this time without a newer model an update is sent again, and after twice as

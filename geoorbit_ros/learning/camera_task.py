@@ -45,7 +45,7 @@ class CameraTask:
 
 
 def required(lanes: tuple[Lane, ...]) -> tuple[tuple[Lane, ...], int]:
-    """The lanes that must be found, and how many more may be (`metrics.lane_number`).
+    """The lanes that must be found, and how many more may be (`metrics.paper_losses`).
 
     Lanes of unknown traffic must be found. Where no lane has traffic enough, all must be.
     """

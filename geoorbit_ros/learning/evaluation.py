@@ -11,21 +11,21 @@ from numpy.typing import NDArray
 from geoorbit_ros.core.errors import InputFileError
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.learning.camera_task import load_task, required
-from geoorbit_ros.learning.fleet import Split
-from geoorbit_ros.learning.fleet_cameras import (
+from geoorbit_ros.learning.lane_embedding import shipped_embedding
+from geoorbit_ros.learning.model_file import load_model
+from geoorbit_ros.learning.objective import DECIMALS, detect_lanes
+from geoorbit_ros.learning.parameter_space import DEFAULT_UNIT
+from geoorbit_ros.learning.population import Split
+from geoorbit_ros.learning.population_cameras import (
     FleetCamera,
     best_parameters,
     examples_of,
     teachers_and_judges,
 )
-from geoorbit_ros.learning.lane_embedding import shipped_embedding
-from geoorbit_ros.learning.model_file import load_model
-from geoorbit_ros.learning.objective import DECIMALS, detect_lanes
-from geoorbit_ros.learning.parameter_space import DEFAULT_UNIT
+from geoorbit_ros.learning.processes import Progress, quiet, spread, watched
 from geoorbit_ros.learning.study import CAMERAS, Study, seed_of
 from geoorbit_ros.learning.training import Mode
-from geoorbit_ros.learning.workers import Progress, quiet, spread, watched
-from geoorbit_ros.metrics.composite import LaneLosses, lane_losses
+from geoorbit_ros.metrics.paper_losses import LaneLosses, lane_losses
 from geoorbit_ros.metrics.score import LaneScore, score_lanes, traffic_class
 
 Array = NDArray[np.float64]

@@ -17,8 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.core.tables import FLAG_PREDICTED, FLAG_TRUNCATED, Frames
-from geoorbit_ros.core.vehicle_classes import LARGE_CLASSES
+from geoorbit_ros.core.tables import FLAG_PREDICTED, FLAG_TRUNCATED, LARGE_CLASSES, Frames
 
 Array = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from geoorbit_ros.learning.camera_task import CameraTask, load_task
 from geoorbit_ros.learning.objective import DECIMALS, Objective
 from geoorbit_ros.learning.parameter_search import SearchResult, search_theta
-from geoorbit_ros.learning.workers import Progress, quiet, spread, watched
-from geoorbit_ros.metrics.composite import LaneLosses
+from geoorbit_ros.learning.processes import Progress, quiet, spread, watched
+from geoorbit_ros.metrics.paper_losses import LaneLosses
 
 Array = NDArray[np.float64]
 Reference = Literal["supervision", "truth"]
@@ -38,7 +38,7 @@ class LossTable:
 
     Attributes:
         files: Task files by camera id.
-        estimator: A name of `lanes.factory`.
+        estimator: A name of `lanes.estimators.registry`.
         reference: `supervision` when learning, `truth` when judging.
         workers: Processes.
     """

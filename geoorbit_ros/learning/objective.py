@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.lanes import Lane
-from geoorbit_ros.lanes.factory import make_estimator
+from geoorbit_ros.lanes.estimators.registry import make_estimator
 from geoorbit_ros.learning.camera_task import CameraTask, required
 from geoorbit_ros.learning.lane_embedding import shipped_embedding
 from geoorbit_ros.learning.parameter_space import from_unit
-from geoorbit_ros.metrics.composite import LaneLosses, LossWeights, lane_losses
+from geoorbit_ros.metrics.paper_losses import LaneLosses, LossWeights, lane_losses
 
 Array = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ def detect_lanes(task: CameraTask, estimator: str, theta: Sequence[float] | Arra
 
     Args:
         task: The camera.
-        estimator: A name of `lanes.factory`.
+        estimator: A name of `lanes.estimators.registry`.
         theta: (P,) point of the unit cube.
     """
     parameters = from_unit(theta)
@@ -48,7 +48,7 @@ class Objective:
 
     Attributes:
         task: The camera.
-        estimator: A name of `lanes.factory`.
+        estimator: A name of `lanes.estimators.registry`.
         reference: `task.supervision` when learning, `task.truth` when judging.
         weights: Lambdas of the total.
         runs: How many times the estimator ran.

@@ -10,7 +10,7 @@ from scipy.optimize import differential_evolution
 
 from geoorbit_ros.learning.objective import Objective
 from geoorbit_ros.learning.parameter_space import DEFAULT_UNIT
-from geoorbit_ros.metrics.composite import LaneLosses
+from geoorbit_ros.metrics.paper_losses import LaneLosses
 
 Array = NDArray[np.float64]
 

@@ -11,23 +11,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import InputFileError
-from geoorbit_ros.learning.acceptance import Jury, gains_of, roles
-from geoorbit_ros.learning.fleet import Fleet, load_fleet
-from geoorbit_ros.learning.fleet_cameras import (
-    FleetCamera,
-    best_parameters,
-    examples_of,
-    fleet_cameras,
-    teachers_and_judges,
-)
 from geoorbit_ros.learning.history import Round, save_history
 from geoorbit_ros.learning.local_training import Examples
 from geoorbit_ros.learning.loss_table import LossTable
 from geoorbit_ros.learning.meta_learner import MetaLearner
 from geoorbit_ros.learning.model_file import save_model
 from geoorbit_ros.learning.parameter_space import DEFAULT_UNIT
+from geoorbit_ros.learning.population import Fleet, load_fleet
+from geoorbit_ros.learning.population_cameras import (
+    FleetCamera,
+    best_parameters,
+    examples_of,
+    fleet_cameras,
+    teachers_and_judges,
+)
+from geoorbit_ros.learning.processes import Progress, quiet
 from geoorbit_ros.learning.training import MODES, Mode, RunSettings, TrainedModel, train
-from geoorbit_ros.learning.workers import Progress, quiet
+from geoorbit_ros.learning.validation import Jury, gains_of, roles
 from geoorbit_ros.storage.atomic import atomic_output
 
 CAMERAS, FLEET_FILE = "cameras", "fleet.yaml"
@@ -104,7 +104,7 @@ def train_study(
     """Train one model per mode and seed, and write each; a rejected one becomes the defaults.
 
     A model is accepted only if the judges among the seen cameras, from which it has learned
-    nothing, find it better than the default parameters (`federated.verdict`).
+    nothing, find it better than the default parameters (`federated.rounds.verdict`).
 
     Raises:
         InputFileError: No seen camera on which a lane can be found.

@@ -9,17 +9,16 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.federated.client import FederatedClient, LocalResult, Work
-from geoorbit_ros.federated.encodings.factory import make_encoding
-from geoorbit_ros.federated.global_model import interface_digest
-from geoorbit_ros.federated.in_process import run_in_process
+from geoorbit_ros.federated.encodings.registry import make_encoding
 from geoorbit_ros.federated.keys import Member, Roster
-from geoorbit_ros.federated.server import FederatedServer
-from geoorbit_ros.federated.server_config import ServerConfig
-from geoorbit_ros.federated.strategies.factory import make_strategy
-from geoorbit_ros.federated.traffic import Traffic
-from geoorbit_ros.federated.verdict import NOBODY_ASKED, Verdict
-from geoorbit_ros.learning.acceptance import Jury
+from geoorbit_ros.federated.payloads.global_model import interface_digest
+from geoorbit_ros.federated.rounds.client import FederatedClient, LocalResult, Work
+from geoorbit_ros.federated.rounds.in_process import run_in_process
+from geoorbit_ros.federated.rounds.server import FederatedServer
+from geoorbit_ros.federated.rounds.server_config import ServerConfig
+from geoorbit_ros.federated.rounds.traffic import Traffic
+from geoorbit_ros.federated.rounds.verdict import NOBODY_ASKED, Verdict
+from geoorbit_ros.federated.strategies.registry import make_strategy
 from geoorbit_ros.learning.features import FEATURE_NAMES
 from geoorbit_ros.learning.history import Round
 from geoorbit_ros.learning.local_training import (
@@ -30,6 +29,7 @@ from geoorbit_ros.learning.local_training import (
 )
 from geoorbit_ros.learning.meta_learner import MetaLearner
 from geoorbit_ros.learning.parameter_space import PARAMETER_NAMES
+from geoorbit_ros.learning.validation import Jury
 
 Mode = Literal["central", "federated"]
 MODES: tuple[Mode, ...] = ("central", "federated")
@@ -47,8 +47,8 @@ class RunSettings:
         stop_below: The paper's lambda: training ends once the cameras' mean L_total is not above
             it. NaN: never.
         clients_per_round: Cameras that train in a federated round; 0: all.
-        strategy: A name of `federated.strategies.factory`.
-        encoding: A name of `federated.encodings.factory`.
+        strategy: A name of `federated.strategies.registry`.
+        encoding: A name of `federated.encodings.registry`.
         loss_every: Lanes are estimated anew in every so-many-th round only, the first and the last
             included; between them cameras report what they measured last. With `stop_below`, in
             every round.

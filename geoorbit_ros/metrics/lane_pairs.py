@@ -1,4 +1,4 @@
-"""Which detected lane each reference lane is compared with, for the paper's losses."""
+"""Which detected lane each reference lane is compared with, by Fréchet distance (section IV-A)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,83 @@ from scipy.optimize import linear_sum_assignment
 
 from geoorbit_ros.core.errors import TableError
 from geoorbit_ros.core.lanes import Lane
-from geoorbit_ros.metrics.frechet import frechet_matrix, resample
+
+Array = NDArray[np.float64]
+
+
+def resample(line_m: Array, points: int) -> Array:
+    """(points, 2) positions evenly spaced by arc length along a (K, 2) polyline, ends included.
+
+    A line without length gives the same point `points` times.
+    """
+    line = np.asarray(line_m, dtype=np.float64)
+    step = np.hypot(*np.diff(line, axis=0).T)
+    arc = np.append(0.0, np.cumsum(step))
+    at = np.linspace(0.0, arc[-1], points)
+    return np.column_stack([np.interp(at, arc, line[:, k]) for k in range(2)])
+
+
+def discrete_frechet(p_m: Array, q_m: Array) -> float:
+    """Discrete Fréchet distance of two curves, in metres.
+
+    Args:
+        p_m: (N, 2) samples of one curve, in order.
+        q_m: (M, 2) samples of the other.
+
+    Raises:
+        TableError: A curve without samples, or one that is not finite.
+    """
+    return float(frechet_matrix([p_m], [q_m])[0, 0])
+
+
+def frechet_matrix(p_m: list[Array], q_m: list[Array]) -> Array:
+    """Discrete Fréchet distance of every pair, all pairs at once.
+
+    The table c(i, j) = max(d(i, j), min(c(i-1, j), c(i-1, j-1), c(i, j-1))) is filled along its
+    anti-diagonals: entries of one anti-diagonal don't depend on each other.
+
+    Args:
+        p_m: A curves of one common number N of samples, each (N, 2).
+        q_m: B curves of one common number M of samples, each (M, 2).
+
+    Returns:
+        (A, B) distances in metres; empty where a list is.
+
+    Raises:
+        TableError: Curves of a list differ in shape, have no sample, or are not finite.
+    """
+    if not p_m or not q_m:
+        return np.empty((len(p_m), len(q_m)))
+    p, q = _stack(p_m), _stack(q_m)
+    gap = p[:, None, :, None, :] - q[None, :, None, :, :]
+    distance = np.hypot(gap[..., 0], gap[..., 1])
+    n, m = distance.shape[2:]
+    # One cell of infinity before the first row: `leash[..., i + 1]` belongs to row i.
+    shape = (*distance.shape[:2], n + 1)
+    before, last = np.full(shape, np.inf), np.full(shape, np.inf)
+    for diagonal in range(n + m - 1):
+        low, high = max(0, diagonal - m + 1), min(diagonal, n - 1)
+        i = np.arange(low, high + 1)
+        leash = np.full(shape, np.inf)
+        shortest = np.minimum(last[..., i], last[..., i + 1])
+        shortest = np.minimum(shortest, before[..., i])
+        if diagonal == 0:
+            shortest[:] = 0.0
+        leash[..., i + 1] = np.maximum(distance[:, :, i, diagonal - i], shortest)
+        before, last = last, leash
+    return np.asarray(last[..., n])
+
+
+def _stack(lines: list[Array]) -> Array:
+    shapes = {np.shape(line) for line in lines}
+    if len(shapes) > 1 or len(next(iter(shapes))) != 2 or 0 in next(iter(shapes)):
+        found = ", ".join(str(s) for s in sorted(shapes))
+        raise TableError("Fréchet distance", f"curves of shape {found}", "one shape (N, 2), N > 0")
+    stacked = np.asarray(lines, dtype=np.float64)
+    if not np.isfinite(stacked).all():
+        raise TableError("Fréchet distance", "a curve with NaN or infinity", "finite metres")
+    return stacked
+
 
 SAMPLES = 64
 """Points per centreline: one every two to three metres of what a roadside camera sees."""

@@ -31,8 +31,8 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from geoorbit_ros.core.lanes import Lane
+from geoorbit_ros.core.polylines import Samples, project, sample
 from geoorbit_ros.metrics.lane_score import LaneScore, MatchedLane, TrafficClass, traffic_class
-from geoorbit_ros.metrics.polyline import Samples, project, sample
 
 __all__ = ["LaneScore", "MatchedLane", "TrafficClass", "score_lanes", "traffic_class"]
 

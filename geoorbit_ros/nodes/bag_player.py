@@ -18,13 +18,12 @@ from std_srvs.srv import SetBool
 
 from geoorbit_ros.conversions import encode_clock, message_class
 from geoorbit_ros.core.errors import InputFileError
-from geoorbit_ros.nodes.base import GeoOrbitNode
-from geoorbit_ros.nodes.latched import LATCHED
-from geoorbit_ros.nodes.process import run_node
-from geoorbit_ros.nodes.table_stream import stream_qos
+from geoorbit_ros.nodes.support.base import GeoOrbitNode
+from geoorbit_ros.nodes.support.process import run_node
+from geoorbit_ros.nodes.support.qos import LATCHED
+from geoorbit_ros.nodes.support.table_stream import stream_qos
 from geoorbit_ros.storage.bag_reader import bag_messages, describe_bag
-from geoorbit_ros.storage.looping import begun_at, endless
-from geoorbit_ros.storage.playback import Playback, rename_camera
+from geoorbit_ros.storage.playback import Playback, begun_at, endless, rename_camera
 
 TICK_S = 0.005
 BATCH = 50  # messages per tick, so that the other nodes of a process get their turn

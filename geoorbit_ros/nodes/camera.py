@@ -11,11 +11,11 @@ from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from sensor_msgs.msg import CompressedImage
 
-from geoorbit_ros.nodes.base import GeoOrbitNode
-from geoorbit_ros.nodes.image_sender import ImageSender
-from geoorbit_ros.nodes.process import run_node
-from geoorbit_ros.nodes.table_stream import stream_qos
-from geoorbit_ros.scenes.frame_source import SCENES
+from geoorbit_ros.nodes.support.base import GeoOrbitNode
+from geoorbit_ros.nodes.support.image_sender import ImageSender
+from geoorbit_ros.nodes.support.process import run_node
+from geoorbit_ros.nodes.support.table_stream import stream_qos
+from geoorbit_ros.rendering.frame_source import SCENES
 from geoorbit_ros.storage.frames.feed import FrameFeed
 from geoorbit_ros.storage.frames.open_source import open_frame_source
 from geoorbit_ros.storage.frames.source import FrameSourceError, SourceOptions

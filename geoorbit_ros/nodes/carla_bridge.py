@@ -15,15 +15,15 @@ from sensor_msgs.msg import CompressedImage, NavSatFix
 from geoorbit_ros.conversions import datum_from_fix, encode_compressed_image
 from geoorbit_ros.core.errors import GeoOrbitError, MessageError
 from geoorbit_ros.core.tables import TRACK_DTYPE
-from geoorbit_ros.nodes.base import GeoOrbitNode
-from geoorbit_ros.nodes.image_sender import FORMAT
-from geoorbit_ros.nodes.latched import LATCHED
-from geoorbit_ros.nodes.process import run_node
-from geoorbit_ros.nodes.table_stream import TableStream, stream_qos
+from geoorbit_ros.nodes.support.base import GeoOrbitNode
+from geoorbit_ros.nodes.support.image_sender import FORMAT
+from geoorbit_ros.nodes.support.process import run_node
+from geoorbit_ros.nodes.support.qos import LATCHED
+from geoorbit_ros.nodes.support.table_stream import TableStream, stream_qos
 from geoorbit_ros.twin.cameras import read_carla_cameras, split_names
-from geoorbit_ros.twin.carla_client import CarlaClient
-from geoorbit_ros.twin.carla_fleet import CarlaFleet
-from geoorbit_ros.twin.carla_frame import read_opendrive
+from geoorbit_ros.twin.carla.client import CarlaClient
+from geoorbit_ros.twin.carla.frame import read_opendrive
+from geoorbit_ros.twin.carla.vehicles import CarlaFleet
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,13 +15,13 @@ from sensor_msgs.msg import PointCloud2
 
 from geoorbit_ros.conversions import encode_table, pixel_polygon
 from geoorbit_ros.detection.detector import Detector
-from geoorbit_ros.detection.factory import make_detector
+from geoorbit_ros.detection.registry import make_detector
 from geoorbit_ros.detection.road_segments import Contour, RoadSegments
-from geoorbit_ros.nodes.base import GeoOrbitNode
-from geoorbit_ros.nodes.image_stream import ImageStream
-from geoorbit_ros.nodes.latched import LATCHED
-from geoorbit_ros.nodes.process import run_node
-from geoorbit_ros.nodes.table_stream import stream_qos
+from geoorbit_ros.nodes.support.base import GeoOrbitNode
+from geoorbit_ros.nodes.support.image_stream import ImageStream
+from geoorbit_ros.nodes.support.process import run_node
+from geoorbit_ros.nodes.support.qos import LATCHED
+from geoorbit_ros.nodes.support.table_stream import stream_qos
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,26 +11,26 @@ from pathlib import Path
 from rclpy.clock import Clock, ClockType
 from std_msgs.msg import String
 
-from geoorbit_ros.federated.envelope import schema_of
 from geoorbit_ros.federated.errors import FederationError
 from geoorbit_ros.federated.keys import Roster, Signer, read_private_key
-from geoorbit_ros.federated.secure_aggregation.coordinator import MIN_CLIENTS
-from geoorbit_ros.federated.secure_aggregation.message import SCHEMA as SECURE
-from geoorbit_ros.federated.server import FederatedServer
-from geoorbit_ros.federated.server_config import ServerConfig
-from geoorbit_ros.federated.status import server_facts, status_text
-from geoorbit_ros.federated.strategies.factory import StrategySettings, make_strategy
-from geoorbit_ros.federated.verdict import MIN_JUDGES, judge_divisor
+from geoorbit_ros.federated.payloads.envelope import schema_of
+from geoorbit_ros.federated.privacy.coordinator import MIN_CLIENTS
+from geoorbit_ros.federated.privacy.message import SCHEMA as SECURE
+from geoorbit_ros.federated.rounds.server import FederatedServer
+from geoorbit_ros.federated.rounds.server_config import ServerConfig
+from geoorbit_ros.federated.rounds.status import server_facts, status_text
+from geoorbit_ros.federated.rounds.verdict import MIN_JUDGES, judge_divisor
+from geoorbit_ros.federated.strategies.registry import StrategySettings, make_strategy
 from geoorbit_ros.learning.camera_session import INTERFACE, starting_learner
-from geoorbit_ros.nodes.base import GeoOrbitNode
-from geoorbit_ros.nodes.byte_topic import (
+from geoorbit_ros.nodes.support.base import GeoOrbitNode
+from geoorbit_ros.nodes.support.byte_topic import (
     PayloadPublisher,
     model_qos,
     subscribe_payloads,
     updates_qos,
 )
-from geoorbit_ros.nodes.latched import LATCHED
-from geoorbit_ros.nodes.process import run_node
+from geoorbit_ros.nodes.support.process import run_node
+from geoorbit_ros.nodes.support.qos import LATCHED
 
 PERIOD_S = 0.5
 

@@ -18,10 +18,10 @@ from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.conversions import datum_to_fix, encode_pose_array, encode_table, vehicle_poses
 from geoorbit_ros.core.errors import InputFileError
 from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE
-from geoorbit_ros.nodes.base import GeoOrbitNode
-from geoorbit_ros.nodes.latched import LATCHED
-from geoorbit_ros.nodes.process import run_node
-from geoorbit_ros.nodes.table_stream import TableStream, stream_qos
+from geoorbit_ros.nodes.support.base import GeoOrbitNode
+from geoorbit_ros.nodes.support.process import run_node
+from geoorbit_ros.nodes.support.qos import LATCHED
+from geoorbit_ros.nodes.support.table_stream import TableStream, stream_qos
 
 
 @dataclass(frozen=True, slots=True)

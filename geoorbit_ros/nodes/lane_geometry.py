@@ -18,15 +18,15 @@ from geoorbit_ros.core.errors import MessageError
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.core.tables import TRACK_DTYPE
 from geoorbit_ros.federated.keys import Verifier, public_key
-from geoorbit_ros.federated.theta_inbox import ThetaInbox
-from geoorbit_ros.lanes.live_mapper import LiveMapper
+from geoorbit_ros.federated.payloads.lane_parameters import ThetaInbox
+from geoorbit_ros.lanes.mapping.live_mapper import LiveMapper
 from geoorbit_ros.lanes.parameters import LaneParameters
-from geoorbit_ros.nodes.base import GeoOrbitNode
-from geoorbit_ros.nodes.byte_topic import subscribe_payloads
-from geoorbit_ros.nodes.lane_publisher import LanePublisher
-from geoorbit_ros.nodes.latched import LATCHED
-from geoorbit_ros.nodes.process import run_node
-from geoorbit_ros.nodes.table_stream import TableStream
+from geoorbit_ros.nodes.support.base import GeoOrbitNode
+from geoorbit_ros.nodes.support.byte_topic import subscribe_payloads
+from geoorbit_ros.nodes.support.lane_publisher import LanePublisher
+from geoorbit_ros.nodes.support.process import run_node
+from geoorbit_ros.nodes.support.qos import LATCHED
+from geoorbit_ros.nodes.support.table_stream import TableStream
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,23 +13,23 @@ from rclpy.clock import Clock, ClockType
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.tables import TRACK_DTYPE
-from geoorbit_ros.federated.client import FederatedClient
-from geoorbit_ros.federated.encodings.factory import make_encoding
+from geoorbit_ros.federated.encodings.registry import make_encoding
 from geoorbit_ros.federated.keys import Signer, public_key, read_private_key
-from geoorbit_ros.learning.background import BackgroundProcess
+from geoorbit_ros.federated.rounds.client import FederatedClient
 from geoorbit_ros.learning.camera_session import INTERFACE, CameraSession
 from geoorbit_ros.learning.model_file import load_model
-from geoorbit_ros.nodes.base import GeoOrbitNode
-from geoorbit_ros.nodes.byte_topic import (
+from geoorbit_ros.learning.processes import BackgroundProcess
+from geoorbit_ros.nodes.support.base import GeoOrbitNode
+from geoorbit_ros.nodes.support.byte_topic import (
     PayloadPublisher,
     model_qos,
     subscribe_payloads,
     updates_qos,
 )
-from geoorbit_ros.nodes.latched import LATCHED
-from geoorbit_ros.nodes.process import run_node
-from geoorbit_ros.nodes.reference_listener import ReferenceListener
-from geoorbit_ros.nodes.table_stream import TableStream
+from geoorbit_ros.nodes.support.process import run_node
+from geoorbit_ros.nodes.support.qos import LATCHED
+from geoorbit_ros.nodes.support.reference_listener import ReferenceListener
+from geoorbit_ros.nodes.support.table_stream import TableStream
 
 PERIOD_S = 0.1
 

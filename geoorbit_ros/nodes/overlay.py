@@ -21,11 +21,11 @@ from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE, TRACK_DTYPE
 from geoorbit_ros.lanes.geojson import parse_lane_file
-from geoorbit_ros.nodes.base import GeoOrbitNode
-from geoorbit_ros.nodes.image_sender import FORMAT
-from geoorbit_ros.nodes.latched import LATCHED
-from geoorbit_ros.nodes.process import run_node
-from geoorbit_ros.nodes.table_stream import stream_qos
+from geoorbit_ros.nodes.support.base import GeoOrbitNode
+from geoorbit_ros.nodes.support.image_sender import FORMAT
+from geoorbit_ros.nodes.support.process import run_node
+from geoorbit_ros.nodes.support.qos import LATCHED
+from geoorbit_ros.nodes.support.table_stream import stream_qos
 from geoorbit_ros.report.image_overlay import ImageOverlay
 from geoorbit_ros.storage.image_cdr import decode_compressed_image, stamp_of_image
 

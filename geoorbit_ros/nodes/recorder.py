@@ -15,11 +15,11 @@ from std_msgs.msg import String
 from geoorbit_ros.conversions import decode_string
 from geoorbit_ros.core.errors import GeoOrbitError, MessageError, ParameterError
 from geoorbit_ros.core.tables import TRACK_DTYPE
-from geoorbit_ros.nodes.base import GeoOrbitNode
-from geoorbit_ros.nodes.latched import LATCHED_ALL
-from geoorbit_ros.nodes.process import run_node
-from geoorbit_ros.nodes.table_stream import TableStream
-from geoorbit_ros.storage.database import TrajectoryDatabase
+from geoorbit_ros.nodes.support.base import GeoOrbitNode
+from geoorbit_ros.nodes.support.process import run_node
+from geoorbit_ros.nodes.support.qos import LATCHED_ALL
+from geoorbit_ros.nodes.support.table_stream import TableStream
+from geoorbit_ros.storage.database.writer import TrajectoryDatabase
 
 FLUSH_PERIOD_S = 0.5
 """A kill costs less than a second, also when the camera has fallen silent."""

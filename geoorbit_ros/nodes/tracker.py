@@ -13,9 +13,9 @@ from sensor_msgs.msg import PointCloud2
 from geoorbit_ros.conversions import encode_table
 from geoorbit_ros.core.errors import MessageError
 from geoorbit_ros.core.tables import DETECTION_DTYPE
-from geoorbit_ros.nodes.base import GeoOrbitNode
-from geoorbit_ros.nodes.process import run_node
-from geoorbit_ros.nodes.table_stream import TableStream, stream_qos
+from geoorbit_ros.nodes.support.base import GeoOrbitNode
+from geoorbit_ros.nodes.support.process import run_node
+from geoorbit_ros.nodes.support.table_stream import TableStream, stream_qos
 from geoorbit_ros.tracking.parameters import TrackerParameters, first_id_at
 from geoorbit_ros.tracking.tracker import Tracker
 

@@ -15,9 +15,9 @@ from rclpy.subscription import Subscription
 
 from geoorbit_ros.conversions import message_class
 from geoorbit_ros.core.errors import GeoOrbitError, ParameterError
-from geoorbit_ros.nodes.base import GeoOrbitNode
-from geoorbit_ros.nodes.latched import LATCHED_ALL
-from geoorbit_ros.nodes.process import run_node
+from geoorbit_ros.nodes.support.base import GeoOrbitNode
+from geoorbit_ros.nodes.support.process import run_node
+from geoorbit_ros.nodes.support.qos import LATCHED_ALL
 from geoorbit_ros.viewer.server import ViewerServer
 
 STREAM_DEPTH = 5

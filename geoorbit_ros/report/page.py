@@ -15,11 +15,9 @@ from geoorbit_ros.calibration.homography import Homography
 from geoorbit_ros.core.errors import CalibrationError
 from geoorbit_ros.core.lanes import Lane, LaneMap
 from geoorbit_ros.metrics.score import score_lanes
-from geoorbit_ros.report.image_view import image_view
-from geoorbit_ros.report.map_view import map_view
 from geoorbit_ros.report.recording import Recording
-from geoorbit_ros.report.section_view import section_view
 from geoorbit_ros.report.tables import calibration_table, facts, lane_table, score_table
+from geoorbit_ros.report.views import image_view, map_view, section_view
 from geoorbit_ros.report.words import (
     compass,
     count,

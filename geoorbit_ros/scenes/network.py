@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import re
-import shutil
 import subprocess
-from importlib.util import find_spec
 from pathlib import Path
 from xml.etree import ElementTree as Xml
 
@@ -13,32 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.datum import Datum
-from geoorbit_ros.core.errors import GeoOrbitError
+from geoorbit_ros.roadnet.netconvert import TIME_LIMIT_S, NetworkError, last_line, netconvert_path
 from geoorbit_ros.scenes.roads import PlacedRoad, successors
-
-TIME_LIMIT_S = 60.0
-
-
-class NetworkError(GeoOrbitError):
-    """SUMO can't make a network of the scene's roads."""
-
-
-def netconvert_path() -> str:
-    """Path of SUMO's netconvert.
-
-    Raises:
-        NetworkError: SUMO, or one of its Python packages, is not installed.
-    """
-    install = "SUMO: pip install eclipse-sumo libsumo sumolib"
-    for package in ("sumolib", "libsumo"):
-        if find_spec(package) is None:
-            raise NetworkError("simulator SUMO", f"no Python package '{package}'", install)
-    import sumolib
-
-    program = shutil.which(sumolib.checkBinary("netconvert"))
-    if program is None:
-        raise NetworkError("simulator SUMO", "no program 'netconvert'", install)
-    return str(program)
 
 
 def write_network(placed: dict[str, PlacedRoad], folder: Path, datum: Datum | None = None) -> Path:
@@ -109,18 +82,6 @@ def write_network(placed: dict[str, PlacedRoad], folder: Path, datum: Datum | No
         origin = f'projParameter="{datum.proj_string}"'
         net.write_text(text.replace('projParameter="!"', origin, 1), encoding="utf-8")
     return net
-
-
-def drop_header(path: Path) -> None:
-    """Take away netconvert's comment: it has the time and the paths of this run."""
-    text = path.read_text(encoding="utf-8")
-    path.write_text(re.sub(r"<!--.*?-->\s*", "", text, count=1, flags=re.DOTALL), encoding="utf-8")
-
-
-def last_line(text: str) -> str:
-    """What a program said last, in one line."""
-    lines = text.strip().splitlines()
-    return lines[-1].strip()[:300] if lines else "no message"
 
 
 def _start_node(name: str, place: PlacedRoad) -> str:

@@ -15,11 +15,12 @@ from geoorbit_ros.core.errors import InputFileError, NoTrafficError
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.core.tables import FLAG_GROUND_POINT, PIXEL_TRACK_DTYPE, Frames, frames_from_rows
 from geoorbit_ros.lanes.geojson import write_lanes
-from geoorbit_ros.scenes.network import drop_header, write_network
+from geoorbit_ros.roadnet.netconvert import drop_header
+from geoorbit_ros.scenes.network import write_network
 from geoorbit_ros.scenes.roads import place_roads
 from geoorbit_ros.scenes.simulate import SceneRun
 from geoorbit_ros.storage.atomic import atomic_output
-from geoorbit_ros.storage.bag import write_track_bag
+from geoorbit_ros.storage.track_bag import write_track_bag
 from geoorbit_ros.storage.track_csv import write_track_csv
 
 BAG, TRACKS, CALIBRATION = "bag", "tracks.csv", "calibration.csv"

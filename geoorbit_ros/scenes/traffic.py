@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import GeoOrbitError
-from geoorbit_ros.scenes.network import last_line, write_network
+from geoorbit_ros.roadnet.netconvert import last_line
+from geoorbit_ros.scenes.network import write_network
 from geoorbit_ros.scenes.roads import PlacedRoad
 from geoorbit_ros.scenes.scene import Scene
 from geoorbit_ros.scenes.vehicles import VEHICLE_TYPES

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.tracking.motion import MotionNoise, measurement_variance, measurements
+from geoorbit_ros.tracking.motion_model import MotionNoise, measurement_variance, measurements
 from geoorbit_ros.tracking.parameters import TrackerParameters
 
 Array = NDArray[np.float64]

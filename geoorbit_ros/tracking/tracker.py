@@ -19,14 +19,12 @@ from geoorbit_ros.core.tables import (
     FLAG_TRUNCATED,
     PIXEL_TRACK_DTYPE,
 )
-from geoorbit_ros.tracking.assignment import assign
-from geoorbit_ros.tracking.candidates import Pairs, candidate_pairs
-from geoorbit_ros.tracking.flow import Flow
-from geoorbit_ros.tracking.foresight import Foresight, hidden
+from geoorbit_ros.tracking.association import Pairs, assign, candidate_pairs
 from geoorbit_ros.tracking.frame_detections import FrameDetections, prepare
-from geoorbit_ros.tracking.motion import MEAN, MotionNoise, correct_in_doubt, predict, start
+from geoorbit_ros.tracking.motion_model import MEAN, MotionNoise, correct_in_doubt, predict, start
 from geoorbit_ros.tracking.parameters import TrackerParameters
 from geoorbit_ros.tracking.track_table import TrackTable
+from geoorbit_ros.tracking.traffic_model import Flow, Foresight, hidden
 
 Array = NDArray[np.float64]
 

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.core.tables import FLAG_PREDICTED
-from geoorbit_ros.twin.alignment import Alignment
-from geoorbit_ros.twin.errors import RoadNetworkError
-from geoorbit_ros.twin.plane import ConformalMap
+from geoorbit_ros.mapcheck.alignment import Alignment
+from geoorbit_ros.roadnet.errors import RoadNetworkError
+from geoorbit_ros.roadnet.plane import ConformalMap
 
 OBSERVATION_DTYPE = np.dtype(
     [

@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from geoorbit_ros.twin.fleet import Fleet, usual_size
-from geoorbit_ros.twin.ghosts import GhostWatch
-from geoorbit_ros.twin.jumps import JUMP_ACROSS_M, JumpWatch, reach_along_m
+from geoorbit_ros.twin.false_tracks import JUMP_ACROSS_M, GhostWatch, JumpWatch, reach_along_m
 from geoorbit_ros.twin.vehicle_types import type_of_class
+from geoorbit_ros.twin.vehicles import Fleet, usual_size
 
 Slots = NDArray[np.int64]
 OnRoad = Callable[[NDArray[np.float64]], NDArray[np.bool_]]

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.twin.network import NONE
+from geoorbit_ros.roadnet.network import NONE
 from geoorbit_ros.twin.placement import TwinStep
 
 POSITION_LIMIT_M, HEADING_LIMIT_DEG, LANE_LIMIT = 0.05, 1.0, 0.005

@@ -14,11 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.twin.crossing import CrossingLimit
-from geoorbit_ros.twin.driven_lanes import DrivenNetwork
-from geoorbit_ros.twin.lane_index import CANDIDATES, Candidates, LaneIndex
-from geoorbit_ros.twin.lane_links import LaneLinks
-from geoorbit_ros.twin.network import NONE, RoadNetwork
+from geoorbit_ros.mapcheck.driven_lanes import DrivenNetwork
+from geoorbit_ros.roadnet.lane_index import CANDIDATES, Candidates, LaneIndex
+from geoorbit_ros.roadnet.network import NONE, RoadNetwork
+from geoorbit_ros.twin.lane_changes import CrossingLimit, LaneLinks
 
 LATERAL_SIGMA_M = 0.7
 """Drivers keep within 0.3 m of their own line, which is 0.2 m off the middle; maps and cameras add

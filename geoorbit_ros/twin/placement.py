@@ -8,13 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.twin.driven_lanes import DrivenNetwork
-from geoorbit_ros.twin.fleet import Fleet
-from geoorbit_ros.twin.lane_index import RADIUS_M
-from geoorbit_ros.twin.lane_walk import walk
-from geoorbit_ros.twin.network import NONE, RoadNetwork
+from geoorbit_ros.core.tables import FLAG_PREDICTED, TRACK_DTYPE
+from geoorbit_ros.mapcheck.driven_lanes import DrivenNetwork
+from geoorbit_ros.roadnet.lane_index import RADIUS_M
+from geoorbit_ros.roadnet.network import NONE, RoadNetwork
+from geoorbit_ros.roadnet.routing import walk
 from geoorbit_ros.twin.simulation import Moves, Simulation, States
 from geoorbit_ros.twin.vehicle_types import TYPES
+from geoorbit_ros.twin.vehicles import Fleet
 
 RESIZE_M = 0.5
 """A vehicle gets another length when its track's differs by this."""
@@ -214,3 +215,18 @@ def _bumper(heading_rad: NDArray[np.float64], length_m: NDArray[np.float64]) -> 
     """(M, 2) from the middle of the footprint to that of the front bumper."""
     unit = np.column_stack((np.cos(heading_rad), np.sin(heading_rad)))
     return np.asarray(0.5 * length_m[:, None] * unit)
+
+
+def track_rows(step: TwinStep) -> NDArray[np.void]:
+    """(M,) `TRACK_DTYPE`; `track_id` is the vehicle's id, `FLAG_PREDICTED` where it is not seen."""
+    kept = np.isfinite(step.xy[:, 0])
+    rows = np.zeros(int(np.count_nonzero(kept)), TRACK_DTYPE)
+    rows["x"], rows["y"] = step.xy[kept].T
+    rows["vx"], rows["vy"] = step.velocity[kept].T
+    rows["heading"], rows["sigma"] = step.heading_rad[kept], step.sigma_m[kept]
+    rows["length"], rows["width"] = step.size_m[kept].T
+    rows["score"] = 1.0
+    rows["class_id"] = np.array([kind.coco_class for kind in TYPES])[step.kind[kept]]
+    rows["track_id"] = step.vehicle_id[kept]
+    rows["flags"] = np.where(step.observed[kept], 0, FLAG_PREDICTED)
+    return rows

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.datum import Datum
-from geoorbit_ros.twin.alignment import Alignment
-from geoorbit_ros.twin.driven_lanes import DrivenNetwork
+from geoorbit_ros.mapcheck.alignment import Alignment
+from geoorbit_ros.mapcheck.driven_lanes import DrivenNetwork
+from geoorbit_ros.roadnet.network import RoadNetwork
 from geoorbit_ros.twin.fusion import FusionCounts
 from geoorbit_ros.twin.health import HealthReport, HealthWindow
-from geoorbit_ros.twin.network import RoadNetwork
 from geoorbit_ros.twin.placement import TwinStep
 from geoorbit_ros.twin.simulation import Simulation
 from geoorbit_ros.twin.synchronizer import Synchronizer

@@ -9,11 +9,11 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.metrics.polyline import project
-from geoorbit_ros.twin.network import NONE, RoadNetwork
+from geoorbit_ros.core.polylines import project
+from geoorbit_ros.roadnet.network import NONE, RoadNetwork
+from geoorbit_ros.roadnet.routing import Ways
 from geoorbit_ros.twin.placement import TwinStep
 from geoorbit_ros.twin.vehicle_types import TYPES, add_type
-from geoorbit_ros.twin.ways import Ways
 
 ROUTES, TYPE_FILE, CONFIG = "traffic.rou.xml", "traffic.add.xml", "traffic.sumocfg"
 MIN_DRIVEN_M = 20.0

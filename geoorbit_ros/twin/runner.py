@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.datum import Datum
-from geoorbit_ros.twin.alignment import Alignment
-from geoorbit_ros.twin.driven_lanes import DrivenNetwork
-from geoorbit_ros.twin.errors import SimulationError
-from geoorbit_ros.twin.network import RoadNetwork
+from geoorbit_ros.mapcheck.alignment import Alignment
+from geoorbit_ros.mapcheck.driven_lanes import DrivenNetwork
+from geoorbit_ros.roadnet.errors import SimulationError
+from geoorbit_ros.roadnet.network import RoadNetwork
 from geoorbit_ros.twin.placement import TwinStep
 from geoorbit_ros.twin.scenario import Scenario
 from geoorbit_ros.twin.simulation import Simulation

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from geoorbit_ros.core.errors import ParameterError
-from geoorbit_ros.twin.network import RoadNetwork
+from geoorbit_ros.roadnet.network import RoadNetwork
 
 KMH_BOUNDS = (1.0, 250.0)
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from geoorbit_ros.report.picture_text import write_text
+from geoorbit_ros.report.image_text import write_text
 
 SEEN, TWIN = (0, 165, 255), (80, 220, 80)
 """Orange and green, blue-green-red."""

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import ParameterError
-from geoorbit_ros.twin.errors import SimulationError
+from geoorbit_ros.roadnet.errors import SimulationError
 from geoorbit_ros.twin.running_network import write_running_network
 from geoorbit_ros.twin.scenario import Scenario
 from geoorbit_ros.twin.sumo_process import (

@@ -8,7 +8,7 @@ from typing import IO
 
 import numpy as np
 
-from geoorbit_ros.twin.network import NONE, RoadNetwork
+from geoorbit_ros.roadnet.network import NONE, RoadNetwork
 from geoorbit_ros.twin.placement import TwinStep
 from geoorbit_ros.twin.vehicle_types import TYPES
 

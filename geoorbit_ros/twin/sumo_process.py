@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from geoorbit_ros.twin.errors import SimulationError
+from geoorbit_ros.roadnet.errors import SimulationError
 
 START_RETRIES, RETRY_S = 200, 0.1
 CLOSE_TIMEOUT_S = 10.0

@@ -13,17 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.datum import Datum
-from geoorbit_ros.twin.alignment import Alignment
+from geoorbit_ros.mapcheck.alignment import Alignment
+from geoorbit_ros.mapcheck.driven_lanes import DrivenNetwork
+from geoorbit_ros.roadnet.network import NONE, RoadNetwork
+from geoorbit_ros.roadnet.routing import walk
 from geoorbit_ros.twin.camera_tracks import CameraTracks
-from geoorbit_ros.twin.crossing import MAX_ACROSS_MPS
-from geoorbit_ros.twin.driven_lanes import DrivenNetwork
-from geoorbit_ros.twin.fleet import Fleet
 from geoorbit_ros.twin.fusion import Fusion
-from geoorbit_ros.twin.lane_walk import walk
+from geoorbit_ros.twin.lane_changes import MAX_ACROSS_MPS
 from geoorbit_ros.twin.matching import LaneMatcher
-from geoorbit_ros.twin.network import NONE, RoadNetwork
 from geoorbit_ros.twin.placement import Placement, TwinStep
 from geoorbit_ros.twin.simulation import Simulation
+from geoorbit_ros.twin.vehicles import Fleet
 
 MAX_WAIT_S = 0.2
 """A camera that is more behind the newest one is not waited for: two frames at 10 Hz."""

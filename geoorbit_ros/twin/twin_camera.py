@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from geoorbit_ros.calibration.camera_pose import recover_pose
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.calibration.plane import Homography
+from geoorbit_ros.mapcheck.alignment import Alignment
+from geoorbit_ros.rendering.renderer import SceneRenderer
+from geoorbit_ros.roadnet.camera_view import view_polygon
+from geoorbit_ros.roadnet.network import load_network
+from geoorbit_ros.roadnet.reference_lanes import reference_lanes
 from geoorbit_ros.scenes.camera import PinholeCamera
 from geoorbit_ros.scenes.detector_model import View
-from geoorbit_ros.scenes.render.renderer import SceneRenderer
-from geoorbit_ros.twin.alignment import Alignment
-from geoorbit_ros.twin.network import load_network
-from geoorbit_ros.twin.references import reference_lanes
 from geoorbit_ros.twin.vehicle_types import TYPES
-from geoorbit_ros.twin.view import view_polygon
 
 WIDTH_PX = 640
 """Of the pictures: three beside each other are as wide as a screen."""

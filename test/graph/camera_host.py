@@ -20,12 +20,12 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from made_up_lanes import made_up_reference, made_up_tracks
 
-from geoorbit_ros.federated.client import LocalResult, TrainingOrder
-from geoorbit_ros.federated.layout import Tensors
+from geoorbit_ros.federated.payloads.model_layout import Tensors
+from geoorbit_ros.federated.rounds.client import LocalResult, TrainingOrder
 from geoorbit_ros.learning import camera_session
 from geoorbit_ros.learning.camera_learning import Lesson
 from geoorbit_ros.nodes.meta_client import MetaClientNode
-from geoorbit_ros.nodes.process import make_executor
+from geoorbit_ros.nodes.support.process import make_executor
 
 LIMIT_S = 100.0
 

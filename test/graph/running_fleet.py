@@ -15,9 +15,9 @@ from rclpy.node import Node
 from std_msgs.msg import String
 
 from geoorbit_ros.fleet.health import NodeReport
-from geoorbit_ros.nodes.composition import Composition
-from geoorbit_ros.nodes.latched import LATCHED_ALL
-from geoorbit_ros.nodes.status_listener import StatusListener
+from geoorbit_ros.nodes.support.composition import Composition
+from geoorbit_ros.nodes.support.qos import LATCHED_ALL
+from geoorbit_ros.nodes.support.status_listener import StatusListener
 
 REPOSITORY = Path(__file__).parents[2]
 GEOORBIT = (sys.executable, "-m", "geoorbit_ros.cli.main")

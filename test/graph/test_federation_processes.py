@@ -17,17 +17,16 @@ import pytest
 from camera_host import lesson
 
 from geoorbit_ros.core.resources import share_path
-from geoorbit_ros.federated.client import FederatedClient
-from geoorbit_ros.federated.encodings.factory import make_encoding
-from geoorbit_ros.federated.in_process import run_in_process
+from geoorbit_ros.federated.encodings.registry import make_encoding
 from geoorbit_ros.federated.keys import Roster, Signer
-from geoorbit_ros.federated.ledger import Ledger
-from geoorbit_ros.federated.server import FederatedServer
-from geoorbit_ros.federated.server_config import ServerConfig
-from geoorbit_ros.federated.server_state import ServerState, read_checkpoint
+from geoorbit_ros.federated.rounds.client import FederatedClient
+from geoorbit_ros.federated.rounds.in_process import run_in_process
+from geoorbit_ros.federated.rounds.server import FederatedServer
+from geoorbit_ros.federated.rounds.server_config import ServerConfig
+from geoorbit_ros.federated.rounds.server_state import Ledger, ServerState, read_checkpoint
 from geoorbit_ros.learning.camera_session import INTERFACE
 from geoorbit_ros.learning.meta_learner import MetaLearner
-from geoorbit_ros.nodes.isolation import free_domain_id
+from geoorbit_ros.nodes.support.composition import free_domain_id
 
 REPOSITORY = Path(__file__).parents[2]
 CAMERAS = ("north", "south")
@@ -242,7 +241,7 @@ def test_models_go_to_the_multicast_group_of_the_profile(
 _PARENT = """
 import time
 from os import getpid
-from geoorbit_ros.learning.background import BackgroundProcess
+from geoorbit_ros.learning.processes import BackgroundProcess
 if __name__ == "__main__":
     training = BackgroundProcess()
     print(training.submit(getpid).result(), flush=True)

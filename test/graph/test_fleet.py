@@ -15,12 +15,12 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from running_fleet import RunningFleet
 
 from geoorbit_ros.calibration.datum import Datum
-from geoorbit_ros.nodes.composition import Composition
+from geoorbit_ros.nodes.support.composition import Composition
 from geoorbit_ros.scenes.network import write_network
 from geoorbit_ros.scenes.road_plan import Road, Start, Straight
 from geoorbit_ros.scenes.roads import place_roads
 from geoorbit_ros.scenes.scene import load_scene
-from geoorbit_ros.storage.database import TrajectoryReader
+from geoorbit_ros.storage.database.writer import TrajectoryReader
 
 BACK_S, STOP_S = 10.0, 5.0
 FLUSH_S = 1.0

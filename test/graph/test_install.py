@@ -24,7 +24,7 @@ from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE, Frames, frames_from_rows
 from geoorbit_ros.scenes.network import write_network
 from geoorbit_ros.scenes.roads import place_roads
 from geoorbit_ros.scenes.scene import load_scene
-from geoorbit_ros.storage.bag import write_track_bag
+from geoorbit_ros.storage.track_bag import write_track_bag
 
 pytestmark = pytest.mark.slow
 

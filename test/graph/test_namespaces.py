@@ -17,10 +17,9 @@ from pathlib import Path
 import pytest
 
 from geoorbit_ros.federated.keys import Roster, Signer
-from geoorbit_ros.federated.ledger import Ledger
-from geoorbit_ros.federated.server import FederatedServer
-from geoorbit_ros.federated.server_config import ServerConfig
-from geoorbit_ros.federated.server_state import read_checkpoint
+from geoorbit_ros.federated.rounds.server import FederatedServer
+from geoorbit_ros.federated.rounds.server_config import ServerConfig
+from geoorbit_ros.federated.rounds.server_state import Ledger, read_checkpoint
 from geoorbit_ros.learning.camera_session import INTERFACE
 from geoorbit_ros.learning.meta_learner import MetaLearner
 

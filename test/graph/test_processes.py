@@ -16,9 +16,9 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from geoorbit_ros.cli.main import main
-from geoorbit_ros.nodes.composition import Composition
-from geoorbit_ros.nodes.latched import LATCHED_ALL
-from geoorbit_ros.storage.database import TrajectoryReader
+from geoorbit_ros.nodes.support.composition import Composition
+from geoorbit_ros.nodes.support.qos import LATCHED_ALL
+from geoorbit_ros.storage.database.writer import TrajectoryReader
 
 REPOSITORY = Path(__file__).parents[2]
 LIMIT_S = 60.0

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from geoorbit_ros.nodes.composition import Composition
+from geoorbit_ros.nodes.support.composition import Composition
 
 
 @pytest.fixture

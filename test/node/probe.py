@@ -11,9 +11,9 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 
-from geoorbit_ros.nodes.composition import Composition
-from geoorbit_ros.nodes.latched import LATCHED_ALL
-from geoorbit_ros.nodes.table_stream import stream_qos
+from geoorbit_ros.nodes.support.composition import Composition
+from geoorbit_ros.nodes.support.qos import LATCHED_ALL
+from geoorbit_ros.nodes.support.table_stream import stream_qos
 from geoorbit_ros.storage.pointcloud2 import decode_table, encode_table
 
 LIMIT_S = 20.0

@@ -17,7 +17,7 @@ from std_srvs.srv import SetBool
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE
 from geoorbit_ros.nodes.bag_player import CLOCK_QOS, BagPlayerNode
-from geoorbit_ros.nodes.composition import Composition
+from geoorbit_ros.nodes.support.composition import Composition
 from geoorbit_ros.storage.bag_reader import bag_messages
 
 LOSSLESS = {"queue_depth": 0, "rate": 0.0}

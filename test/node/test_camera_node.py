@@ -16,7 +16,7 @@ from sensor_msgs.msg import CompressedImage
 
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.nodes.camera import CameraNode
-from geoorbit_ros.nodes.composition import Composition
+from geoorbit_ros.nodes.support.composition import Composition
 from geoorbit_ros.storage.frames import stream
 
 LOSSLESS = {"reliability": "reliable", "queue_depth": 0, "rate": 0.0}

@@ -14,15 +14,15 @@ from sensor_msgs.msg import CompressedImage, NavSatFix
 from geoorbit_ros.conversions import datum_to_fix
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.nodes import carla_bridge
-from geoorbit_ros.nodes.composition import Composition
-from geoorbit_ros.nodes.latched import LATCHED
+from geoorbit_ros.nodes.support.composition import Composition
+from geoorbit_ros.nodes.support.qos import LATCHED
+from geoorbit_ros.roadnet.map_build import build_from_network
 from geoorbit_ros.scenes.roads import place_roads
 from geoorbit_ros.scenes.scene import load_scene
 from geoorbit_ros.scenes.simulate import scene_camera
 from geoorbit_ros.scenes.survey import survey_control_points
-from geoorbit_ros.twin.carla_client import OnImage
-from geoorbit_ros.twin.carla_frame import CarlaCamera, CarlaPose
-from geoorbit_ros.twin.map_build import build_from_network
+from geoorbit_ros.twin.carla.client import OnImage
+from geoorbit_ros.twin.carla.frame import CarlaCamera, CarlaPose
 
 
 @pytest.fixture(scope="module")

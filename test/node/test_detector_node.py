@@ -18,10 +18,10 @@ from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.core.tables import DETECTION_DTYPE
 from geoorbit_ros.detection import road_segments
 from geoorbit_ros.detection.detector import Detector
-from geoorbit_ros.detection.factory import make_detector
-from geoorbit_ros.detection.onnx_yolo import OnnxYolo
-from geoorbit_ros.nodes.composition import Composition
+from geoorbit_ros.detection.onnx.yolo import OnnxYolo
+from geoorbit_ros.detection.registry import make_detector
 from geoorbit_ros.nodes.detector import DetectorNode
+from geoorbit_ros.nodes.support.composition import Composition
 
 CANVAS = (160, 96)
 TOPIC = "image/compressed"

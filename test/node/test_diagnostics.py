@@ -6,8 +6,8 @@ import numpy as np
 from probe import LOSSLESS, Probe
 
 from geoorbit_ros.core.tables import TRACK_DTYPE
-from geoorbit_ros.nodes.composition import Composition
 from geoorbit_ros.nodes.lane_geometry import LaneGeometryNode
+from geoorbit_ros.nodes.support.composition import Composition
 
 FRAME_NS = 33_333_333
 

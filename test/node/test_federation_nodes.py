@@ -24,21 +24,21 @@ from geoorbit_ros.conversions import (
 )
 from geoorbit_ros.core.errors import MessageError
 from geoorbit_ros.core.tables import TRACK_DTYPE
-from geoorbit_ros.federated.client import LocalResult
 from geoorbit_ros.federated.errors import Refusal
 from geoorbit_ros.federated.keys import Signer
-from geoorbit_ros.federated.theta import ThetaPayload
-from geoorbit_ros.lanes.factory import make_estimator
-from geoorbit_ros.lanes.mapper import LaneMapper
+from geoorbit_ros.federated.payloads.lane_parameters import ThetaPayload
+from geoorbit_ros.federated.rounds.client import LocalResult
+from geoorbit_ros.lanes.estimators.registry import make_estimator
+from geoorbit_ros.lanes.mapping.mapper import LaneMapper
 from geoorbit_ros.lanes.parameters import LaneParameters
 from geoorbit_ros.learning import camera_session
 from geoorbit_ros.learning.camera_learning import Lesson
 from geoorbit_ros.learning.meta_learner import MetaLearner
-from geoorbit_ros.nodes.composition import Composition
 from geoorbit_ros.nodes.federated_server import FederatedServerNode
 from geoorbit_ros.nodes.lane_geometry import LaneGeometryNode
-from geoorbit_ros.nodes.latched import LATCHED
 from geoorbit_ros.nodes.meta_client import MetaClientNode
+from geoorbit_ros.nodes.support.composition import Composition
+from geoorbit_ros.nodes.support.qos import LATCHED
 
 CAMERAS = ("north", "south", "west")
 

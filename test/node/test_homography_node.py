@@ -16,8 +16,8 @@ from geoorbit_ros.calibration.control_points import read_control_points
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.core.tables import DETECTION_DTYPE, PIXEL_TRACK_DTYPE, TRACK_DTYPE
-from geoorbit_ros.nodes.composition import Composition
 from geoorbit_ros.nodes.homography import HomographyNode
+from geoorbit_ros.nodes.support.composition import Composition
 from geoorbit_ros.storage.pointcloud2 import encode_table
 
 FRAMES = 60

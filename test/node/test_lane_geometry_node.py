@@ -23,13 +23,13 @@ from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.conversions import datum_to_fix
 from geoorbit_ros.core.tables import TRACK_DTYPE
-from geoorbit_ros.lanes.factory import make_estimator
+from geoorbit_ros.lanes.estimators.registry import make_estimator
 from geoorbit_ros.lanes.geojson import dumps_lanes
-from geoorbit_ros.lanes.mapper import LaneMapper
+from geoorbit_ros.lanes.mapping.mapper import LaneMapper
 from geoorbit_ros.lanes.parameters import LaneParameters
-from geoorbit_ros.nodes.composition import Composition
 from geoorbit_ros.nodes.lane_geometry import LaneGeometryNode
-from geoorbit_ros.nodes.latched import LATCHED
+from geoorbit_ros.nodes.support.composition import Composition
+from geoorbit_ros.nodes.support.qos import LATCHED
 
 DATUM = Datum(43.05, -89.35)
 LANES = (1, 2, 3)

@@ -12,11 +12,11 @@ from rclpy.parameter import Parameter
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.nodes.bag_player import BagPlayerNode
 from geoorbit_ros.nodes.camera import CameraNode
-from geoorbit_ros.nodes.composition import Composition
 from geoorbit_ros.nodes.detector import DetectorNode
 from geoorbit_ros.nodes.homography import HomographyNode
 from geoorbit_ros.nodes.lane_geometry import LaneGeometryNode, LaneGeometryParameters
 from geoorbit_ros.nodes.recorder import RecorderNode
+from geoorbit_ros.nodes.support.composition import Composition
 from geoorbit_ros.nodes.tracker import TrackerNode
 from geoorbit_ros.parameters import NodeParameters, load_schema
 

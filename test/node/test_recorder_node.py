@@ -9,10 +9,10 @@ from std_msgs.msg import String
 
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.core.tables import TRACK_DTYPE
-from geoorbit_ros.nodes.composition import Composition
-from geoorbit_ros.nodes.latched import LATCHED
 from geoorbit_ros.nodes.recorder import DAY_NS, RecorderNode
-from geoorbit_ros.storage.database import TrajectoryReader
+from geoorbit_ros.nodes.support.composition import Composition
+from geoorbit_ros.nodes.support.qos import LATCHED
+from geoorbit_ros.storage.database.writer import TrajectoryReader
 
 SECOND_NS = 10**9
 

@@ -13,9 +13,9 @@ from rclpy.node import Node
 
 from geoorbit_ros.cli.main import main
 from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE, Frames
-from geoorbit_ros.nodes.composition import Composition
-from geoorbit_ros.storage.bag import write_track_bag
-from geoorbit_ros.storage.database import TrajectoryReader
+from geoorbit_ros.nodes.support.composition import Composition
+from geoorbit_ros.storage.database.writer import TrajectoryReader
+from geoorbit_ros.storage.track_bag import write_track_bag
 from geoorbit_ros.storage.track_csv import read_track_csv
 
 

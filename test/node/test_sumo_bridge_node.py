@@ -19,10 +19,10 @@ from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.conversions import datum_to_fix
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.core.tables import TRACK_DTYPE
-from geoorbit_ros.nodes.composition import Composition
-from geoorbit_ros.nodes.latched import LATCHED
-from geoorbit_ros.nodes.sumo_bridge import SumoBridgeNode
-from geoorbit_ros.nodes.table_stream import stream_qos
+from geoorbit_ros.nodes.sumo_bridge.node import SumoBridgeNode
+from geoorbit_ros.nodes.support.composition import Composition
+from geoorbit_ros.nodes.support.qos import LATCHED
+from geoorbit_ros.nodes.support.table_stream import stream_qos
 from geoorbit_ros.scenes.camera import look_at
 from geoorbit_ros.twin.simulation import SumoSimulation
 

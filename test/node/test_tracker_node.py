@@ -8,7 +8,7 @@ from probe import LOSSLESS, Probe
 
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.core.tables import DETECTION_DTYPE, PIXEL_TRACK_DTYPE
-from geoorbit_ros.nodes.composition import Composition
+from geoorbit_ros.nodes.support.composition import Composition
 from geoorbit_ros.nodes.tracker import TrackerNode
 from geoorbit_ros.tracking.parameters import TrackerParameters, first_id_at
 from geoorbit_ros.tracking.tracker import Tracker

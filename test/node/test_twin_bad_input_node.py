@@ -16,10 +16,10 @@ from sensor_msgs.msg import NavSatFix
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.conversions import datum_to_fix
 from geoorbit_ros.core.errors import GeoOrbitError
-from geoorbit_ros.nodes.composition import Composition
-from geoorbit_ros.nodes.latched import LATCHED
 from geoorbit_ros.nodes.recorder import RecorderNode
-from geoorbit_ros.nodes.sumo_bridge import SumoBridgeNode
+from geoorbit_ros.nodes.sumo_bridge.node import SumoBridgeNode
+from geoorbit_ros.nodes.support.composition import Composition
+from geoorbit_ros.nodes.support.qos import LATCHED
 from geoorbit_ros.twin import sumo_process
 from geoorbit_ros.twin.simulation import SumoSimulation
 

@@ -18,9 +18,9 @@ from std_srvs.srv import Trigger
 from geoorbit_ros.conversions import datum_to_fix
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.core.tables import TRACK_DTYPE
-from geoorbit_ros.nodes.composition import Composition
-from geoorbit_ros.nodes.latched import LATCHED
-from geoorbit_ros.nodes.sumo_bridge import SumoBridgeNode
+from geoorbit_ros.nodes.sumo_bridge.node import SumoBridgeNode
+from geoorbit_ros.nodes.support.composition import Composition
+from geoorbit_ros.nodes.support.qos import LATCHED
 from geoorbit_ros.twin.simulation import SumoSimulation
 
 LANE_Y = (-8.75, -5.25, -1.75)

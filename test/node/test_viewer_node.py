@@ -17,8 +17,8 @@ from std_msgs.msg import String
 
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE
-from geoorbit_ros.nodes.composition import Composition
-from geoorbit_ros.nodes.latched import LATCHED
+from geoorbit_ros.nodes.support.composition import Composition
+from geoorbit_ros.nodes.support.qos import LATCHED
 from geoorbit_ros.nodes.viewer import ViewerNode
 from geoorbit_ros.storage.pointcloud2 import decode_table, encode_table
 from geoorbit_ros.viewer.server import ViewerError, ViewerServer

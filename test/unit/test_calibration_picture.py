@@ -7,7 +7,7 @@ from made_up_camera import MadeUpCamera
 from geoorbit_ros.calibration.control_points import read_control_points
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.calibration.plane import Homography
-from geoorbit_ros.report.calibration_picture import (
+from geoorbit_ros.report.calibration_image import (
     REACH_M,
     draw_calibration,
     ground_error_m,

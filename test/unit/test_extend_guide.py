@@ -8,11 +8,11 @@ import pytest
 
 from geoorbit_ros.cli.main import main
 from geoorbit_ros.core.errors import ParameterError
-from geoorbit_ros.core.own_class import make_own
+from geoorbit_ros.core.plugins import make_own
 from geoorbit_ros.core.tables import DETECTION_DTYPE
-from geoorbit_ros.detection.factory import make_detector
-from geoorbit_ros.federated.strategies.factory import make_strategy
-from geoorbit_ros.lanes.factory import make_estimator
+from geoorbit_ros.detection.registry import make_detector
+from geoorbit_ros.federated.strategies.registry import make_strategy
+from geoorbit_ros.lanes.estimators.registry import make_estimator
 from geoorbit_ros.lanes.geojson import read_lanes
 from geoorbit_ros.parameters import load_schema
 

@@ -1,4 +1,4 @@
-"""Dependencies point inwards: who may import whom, checked on the syntax tree of every file."""
+"""Who may import whom, checked on the syntax tree of every file."""
 
 import ast
 import re
@@ -12,16 +12,18 @@ import pytest
 PACKAGE = "geoorbit_ros"
 ROOT = Path(__file__).parents[2] / PACKAGE
 
-# A room may import rooms of its own level or below.
-LEVELS = {
-    "core": 0,
-    **dict.fromkeys(("detection", "tracking", "calibration", "lanes", "metrics"), 1),
-    **dict.fromkeys(("conversions", "parameters", "storage", "report"), 2),
-    **dict.fromkeys(("scenes", "learning", "federated", "twin"), 2),
-    **dict.fromkeys(("fleet", "viewer", "exchange"), 2),
-    "nodes": 3,
-    "cli": 4,
-}
+# The picture in the docs is the law: the edges that are drawn there, and no other.
+PICTURE = Path(__file__).parents[2] / "docs" / "architecture.md"
+EDGE = re.compile(r"^  (\w+) --> (.+)$", re.MULTILINE)
+
+
+def drawn_edges(text: str) -> set[tuple[str, str]]:
+    """Edges `room --> room & room` of the picture."""
+    return {(a, b) for a, targets in EDGE.findall(text) for b in targets.split(" & ")}
+
+
+ALLOWED = drawn_edges(PICTURE.read_text(encoding="utf-8"))
+ROOMS = {room for edge in ALLOWED for room in edge}
 
 # Who may import what from outside. Names are patterns of the imported top-level module.
 RESERVED = {
@@ -32,11 +34,10 @@ RESERVED = {
         "storage",
     },
     r"torch": {"learning"},
-    r"libsumo|sumolib|traci|sumo": {"scenes", "twin"},
+    r"libsumo|sumolib|traci|sumo": {"mapcheck", "roadnet", "scenes", "twin"},
     r"typer|rich|click": {"cli"},
 }
 CORE_MAY_IMPORT = {"numpy", "scipy"}
-MAX_NODE_LINES = 150
 
 
 @dataclass(frozen=True)
@@ -82,8 +83,8 @@ def breach(found: Import) -> str | None:
     top, _, rest = found.module.partition(".")
     if top == PACKAGE:
         target = rest.partition(".")[0]
-        if target in LEVELS and LEVELS[target] > LEVELS.get(found.room, 0):
-            return found.breach("dependencies point inwards")
+        if target in ROOMS - {found.room} and (found.room, target) not in ALLOWED:
+            return found.breach(f"docs/architecture.md draws no edge from {found.room} to {target}")
         return None
     for pattern, rooms in RESERVED.items():
         if re.fullmatch(pattern, top) and found.room not in rooms:
@@ -93,35 +94,60 @@ def breach(found: Import) -> str | None:
     return None
 
 
-def room_cycles(found: list[Import]) -> list[str]:
-    """Pairs of rooms that import each other."""
-    edges = {
-        (item.room, item.module.split(".")[1])
-        for item in found
-        if item.module.startswith(f"{PACKAGE}.") and item.module.split(".")[1] in LEVELS
-    }
-    return sorted(f"{a} and {b} import each other" for a, b in edges if a < b and (b, a) in edges)
+def used_edges(found: list[Import]) -> set[tuple[str, str]]:
+    """Edges between rooms that some import needs."""
+    targets = ((item.room, item.module.partition(".")) for item in found)
+    pairs = {(a, rest.partition(".")[0]) for a, (top, _, rest) in targets if top == PACKAGE}
+    return {(a, b) for a, b in pairs if a != b and b in ROOMS}
 
 
-def test_imports_point_inwards() -> None:
+def cycle(edges: set[tuple[str, str]]) -> list[str]:
+    """Names on or between circles of a graph: what is left when its ends are taken away."""
+    while True:
+        sources, targets = {a for a, _ in edges}, {b for _, b in edges}
+        left = {(a, b) for a, b in edges if a in targets and b in sources}
+        if left == edges:
+            return sorted({name for edge in edges for name in edge})
+        edges = left
+
+
+def module_edges(root: Path) -> set[tuple[str, str]]:
+    """Imports between the files of the package, each by its dotted name."""
+    files = {".".join(p.relative_to(root.parent).with_suffix("").parts) for p in root.rglob("*.py")}
+    edges = set()
+    for item in imports(root):
+        source = ".".join(item.path.relative_to(root.parent).with_suffix("").parts)
+        for target in (item.module, item.module.rpartition(".")[0]):
+            if target in files and target != source:
+                edges.add((source, target))
+    return edges
+
+
+def test_imports_follow_the_picture() -> None:
     breaches = [text for item in imports(ROOT) if (text := breach(item))]
     assert not breaches, "\n" + "\n".join(breaches)
 
 
-def test_no_two_rooms_import_each_other() -> None:
-    assert room_cycles(list(imports(ROOT))) == []
+def test_every_edge_of_the_picture_is_needed() -> None:
+    assert sorted(ALLOWED - used_edges(list(imports(ROOT)))) == []
 
 
-def test_every_room_has_its_level() -> None:
+def test_neither_rooms_nor_files_import_in_a_circle() -> None:
+    assert cycle(ALLOWED) == []
+    assert cycle(module_edges(ROOT)) == []
+
+
+def test_every_room_is_in_the_picture() -> None:
     rooms = {path.name for path in ROOT.iterdir() if (path / "__init__.py").is_file()}
     files = {path.stem for path in ROOT.glob("*.py")} - {"__init__"}
-    assert rooms | files <= set(LEVELS), "add the new room to LEVELS"
+    assert rooms | files == ROOMS
+    table = re.findall(r"^\| `(\w+)` \|", PICTURE.read_text(encoding="utf-8"), re.MULTILINE)
+    assert sorted(table) == sorted(ROOMS)
 
 
-def test_node_files_stay_thin() -> None:
-    lengths = {path: path.read_text().count("\n") for path in (ROOT / "nodes").glob("*.py")}
-    long = [f"{path}: {n} lines" for path, n in lengths.items() if n > MAX_NODE_LINES]
-    assert not long, f"logic belongs below nodes/, at most {MAX_NODE_LINES} lines: {long}"
+def test_a_circle_is_found() -> None:
+    assert cycle({("a", "b"), ("b", "c"), ("c", "b"), ("c", "d")}) == ["b", "c"]
+    assert cycle({("a", "b"), ("b", "c")}) == []
 
 
 @pytest.mark.parametrize(

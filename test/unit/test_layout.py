@@ -59,10 +59,11 @@ def top_level_imports() -> set[str]:
 
 
 def node_modules() -> set[str]:
-    """Modules of `nodes/` that define `main`: each is a node with an executable of its name."""
+    """Files of `nodes/`, and folders with a `node.py`, that define `main`: one executable each."""
+    folder = REPOSITORY / "geoorbit_ros" / "nodes"
     return {
-        path.stem
-        for path in (REPOSITORY / "geoorbit_ros" / "nodes").glob("*.py")
+        path.parent.name if path.name == "node.py" else path.stem
+        for path in (*folder.glob("*.py"), *folder.glob("*/node.py"))
         if any(
             isinstance(statement, ast.FunctionDef) and statement.name == "main"
             for statement in ast.parse(path.read_text(encoding="utf-8")).body

@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from geoorbit_ros.federated.errors import PayloadError, Refusal
-from geoorbit_ros.federated.layout import Vector
+from geoorbit_ros.federated.payloads.model_layout import Vector
 
 
 class Encoding(Protocol):
@@ -50,3 +50,29 @@ def check_finite(vector: Vector, what: str) -> Vector:
         found = f"{bad} values that are infinite or not a number"
         raise PayloadError(Refusal.NOT_FINITE, f"{what} data", found, "finite numbers")
     return vector
+
+
+class ErrorFeedback:
+    """Remembers the difference between what was meant and what was sent.
+
+    Karimireddy et al., "Error feedback fixes SignSGD and other gradient compression schemes", ICML
+    2019: with it, a biased encoding such as top-k reaches what no encoding reaches.
+
+    Args:
+        encoding: What sends.
+        size: Length of the vectors.
+
+    Attributes:
+        residual: What has not been sent yet, shape (size,).
+    """
+
+    def __init__(self, encoding: Encoding, size: int) -> None:
+        self.encoding = encoding
+        self.residual: Vector = np.zeros(size, np.float32)
+
+    def encode(self, vector: Vector) -> bytes:
+        """Bytes of this vector and of what earlier ones are owed."""
+        meant = vector + self.residual
+        data = self.encoding.encode(meant)
+        self.residual = meant - self.encoding.decode(data, len(meant))
+        return data

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geoorbit_ros.federated.encodings.encoding import check_finite, check_length
-from geoorbit_ros.federated.layout import Vector
+from geoorbit_ros.federated.payloads.model_layout import Vector
 
 FLOAT16_MAX = 65504.0
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.federated.encodings.encoding import check_length
 from geoorbit_ros.federated.errors import PayloadError, Refusal
-from geoorbit_ros.federated.layout import Vector
+from geoorbit_ros.federated.payloads.model_layout import Vector
 
 SCALE_BYTES = 4
 MAX_SCALE = float(np.finfo(np.float32).max)

@@ -15,9 +15,51 @@ from geoorbit_ros.federated.encodings.int8 import (
     restored,
     write_scale,
 )
-from geoorbit_ros.federated.encodings.rice import MAX_PARAMETER, decode_indices, encode_indices
 from geoorbit_ros.federated.errors import FederationError, PayloadError, Refusal
-from geoorbit_ros.federated.layout import Vector
+from geoorbit_ros.federated.payloads.model_layout import Vector
+
+MAX_PARAMETER = 24
+
+
+def rice_parameter(gaps: NDArray[np.int64]) -> int:
+    """The parameter that needs the fewest bits for these gaps."""
+    bits = [int(np.sum(gaps >> b)) + len(gaps) * b for b in range(MAX_PARAMETER + 1)]
+    return int(np.argmin(bits))
+
+
+def encode_indices(indices: NDArray[np.int64]) -> tuple[int, bytes]:
+    """Ascending indices, shape (count,), as Rice parameter and bytes."""
+    gaps = np.diff(indices, prepend=-1) - 1
+    parameter = rice_parameter(gaps)
+    low = (gaps[:, None] >> np.arange(parameter)) & 1
+    high = gaps >> parameter
+    unary = np.ones(int(np.sum(high)) + len(high), np.uint8)
+    unary[np.cumsum(high + 1) - 1] = 0
+    bits = np.concatenate([low.ravel().astype(np.uint8), unary])
+    return parameter, np.packbits(bits).tobytes()
+
+
+def decode_indices(data: bytes, parameter: int, count: int, size: int) -> NDArray[np.int64]:
+    """Indices below `size`, ascending, shape (count,).
+
+    Raises:
+        PayloadError: ENCODING, when the bytes are not those of so many such indices.
+    """
+    bits = np.unpackbits(np.frombuffer(data, np.uint8))
+    split = count * parameter
+    ends = np.flatnonzero(bits[split:] == 0)[:count]
+    used = split + (int(ends[-1]) + 1 if len(ends) else 0)
+    if parameter > MAX_PARAMETER or len(ends) < count or len(data) != -(-used // 8):
+        found = f"{len(data)} bytes of indices"
+        raise PayloadError(Refusal.ENCODING, "top-k data", found, f"those of {count} indices")
+    high = np.diff(ends, prepend=-1) - 1
+    low = bits[:split].reshape(count, parameter) @ (1 << np.arange(parameter, dtype=np.int64))
+    indices = np.cumsum((high << parameter) + low + 1) - 1
+    if count and indices[-1] >= size:
+        found = f"index {indices[-1]}"
+        raise PayloadError(Refusal.SHAPE, "top-k data", found, f"below {size}")
+    return indices
+
 
 _EIGHT_BITS = 0x80
 _LEVELS = {4: 7, 8: 127}

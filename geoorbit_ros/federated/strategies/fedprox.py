@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from geoorbit_ros.federated.layout import Vector
+from geoorbit_ros.federated.payloads.model_layout import Vector
 from geoorbit_ros.federated.strategies.strategy import Strategy, check_range
 
 

@@ -7,8 +7,78 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 
-from geoorbit_ros.storage.frames.pace import Pace, Thinning
 from geoorbit_ros.storage.frames.source import FrameSource, StampedImage
+
+_MAX_LATE_S = 1.0
+"""After a longer hold-up (a suspended process), time goes on from there without a burst."""
+_MAX_WAIT_S = 5.0
+"""Longer silences in a recording are cut to this."""
+_EARLY_RATIO = 0.25
+"""Share of the period by which a frame may come early, so that jitter drops none at full rate."""
+
+
+class Pace:
+    """Lets the stamps of a recording pass at a multiple of real time.
+
+    Args:
+        rate: Speed relative to the recording; 0 makes every frame due at once.
+
+    Attributes:
+        anchors: How often time began anew: at the first frame, and after hold-ups and silences;
+            once, and before that frame, when all are due at once.
+    """
+
+    def __init__(self, rate: float) -> None:
+        self._rate = rate
+        self.anchors = int(rate == 0.0)
+        self._anchor: tuple[int, float] | None = None
+
+    def wait_s(self, stamp_ns: int, wall_s: float) -> float:
+        """Time from `wall_s` (of any steady clock) until the frame is due; 0 when it is.
+
+        The first frame is due when it is asked about.
+        """
+        if self._rate == 0.0:
+            return 0.0
+        if self._anchor is None:
+            self._anchor = stamp_ns, wall_s
+            self.anchors += 1
+        first_ns, start_s = self._anchor
+        wait_s = start_s + (stamp_ns - first_ns) / 1e9 / self._rate - wall_s
+        if not -_MAX_LATE_S <= wait_s <= _MAX_WAIT_S:
+            wait_s = min(max(wait_s, 0.0), _MAX_WAIT_S)
+            self._anchor = stamp_ns, wall_s + wait_s
+            self.anchors += 1
+        return max(wait_s, 0.0)
+
+
+class Thinning:
+    """Keeps at most so many frames per second of their own time, evenly.
+
+    Attributes:
+        max_fps: Frames per second; 0 keeps all. May be changed at any time.
+        left_out: Frames not kept so far.
+    """
+
+    def __init__(self, max_fps: float) -> None:
+        self.max_fps = max_fps
+        self.left_out = 0
+        self._due_ns: float | None = None
+
+    def keep(self, stamp_ns: int) -> bool:
+        """Whether to use the frame; call it once for each."""
+        if self.max_fps == 0.0:
+            return True
+        period_ns = 1e9 / self.max_fps
+        due_ns = self._due_ns
+        if due_ns is None or not stamp_ns - period_ns < due_ns < stamp_ns + 2 * period_ns:
+            due_ns = float(stamp_ns)  # the first one, after a gap, or after a step of the clock
+        if stamp_ns < due_ns - _EARLY_RATIO * period_ns:
+            self.left_out += 1
+            return False
+        self._due_ns = due_ns + period_ns
+        return True
+
 
 STOP_TIMEOUT_S = 2.0
 """How long `stop` waits for a source that is inside a system call. Its thread is a daemon: it ends
@@ -139,3 +209,50 @@ class FrameFeed:
                 self.dropped += 1
             self._waiting.append(frame)
             self._changed.notify_all()
+
+
+TAKE_TIMEOUT_S = 0.2
+
+
+class LiveFrames(FrameSource):
+    """Frames of a stream, stamped when they arrive, not when somebody has time for them.
+
+    What comes while its taker is busy is left out, all but the newest few. Whoever iterates again
+    goes on where the last one stopped: the stream is opened once.
+
+    Args:
+        source: A live source, which this closes.
+
+    Raises:
+        FrameSourceError: As the source, while iterating.
+    """
+
+    live = True
+
+    def __init__(self, source: FrameSource) -> None:
+        super().__init__(source.name)
+        self.fps = source.fps
+        self._feed = FrameFeed(source)
+        self._started = False
+
+    @property
+    def left_out(self) -> int:
+        """Frames for which there was no time."""
+        return self._feed.dropped
+
+    def __iter__(self) -> Iterator[StampedImage]:
+        """Stamps and images as they are taken, until the source ends or is closed."""
+        if not self._started:
+            self._started = True
+            self._feed.start()
+        while not (self._feed.finished or self._closed.is_set()):
+            if (frame := self._feed.take(TAKE_TIMEOUT_S)) is not None:
+                yield frame
+        if self._feed.error is not None and not self._closed.is_set():
+            raise self._feed.error
+
+    def close(self) -> None:
+        """End the reading."""
+        super().close()
+        if self._started:
+            self._feed.stop()

@@ -11,7 +11,6 @@ from urllib.parse import urlsplit, urlunsplit
 import cv2
 from numpy.typing import NDArray
 
-from geoorbit_ros.storage.frames.opencv import open_capture
 from geoorbit_ros.storage.frames.pixels import FrameCheck
 from geoorbit_ros.storage.frames.source import (
     FrameSource,
@@ -19,6 +18,7 @@ from geoorbit_ros.storage.frames.source import (
     SourceOptions,
     StampedImage,
 )
+from geoorbit_ros.storage.frames.video_file import open_capture
 
 SCHEMES = ("rtsp", "rtsps", "http", "https", "rtmp", "udp", "srt", "tcp")
 FIRST_WAIT_S, LONGEST_WAIT_S = 0.5, 30.0

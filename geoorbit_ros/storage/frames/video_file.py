@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import os
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import cv2
 
-from geoorbit_ros.storage.frames.opencv import open_capture
 from geoorbit_ros.storage.frames.pixels import FrameCheck
 from geoorbit_ros.storage.frames.source import (
     FrameSource,
@@ -15,6 +15,24 @@ from geoorbit_ros.storage.frames.source import (
     SourceOptions,
     StampedImage,
 )
+
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+"""Quiet. OpenCV reads this once, when it first uses FFmpeg."""
+
+
+def open_capture(name: str, settings: Sequence[int] = ()) -> cv2.VideoCapture:
+    """A capture of a file or an address through FFmpeg; `isOpened()` says whether it works.
+
+    FFmpeg and OpenCV otherwise print lines of their own about every fault, beside the one sentence
+    that the caller makes of it. Set OPENCV_FFMPEG_LOGLEVEL to see FFmpeg's.
+
+    Args:
+        name: Path or address.
+        settings: Pairs of property and value.
+    """
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    return cv2.VideoCapture(name, cv2.CAP_FFMPEG, list(settings))
+
 
 _COMPLETE_RATIO, _COMPLETE_SLACK_S = 0.9, 1.0
 """A video that ends earlier than this before its announced end breaks off. Containers round, and

@@ -9,8 +9,8 @@ import numpy as np
 
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.core.lanes import Lane, LaneMap
+from geoorbit_ros.core.polylines import offset_line
 from geoorbit_ros.lanes.geojson import write_lanes
-from geoorbit_ros.metrics.polyline import offset_line
 
 DATUM = Datum(43.0, -89.0)
 LANE_Y_M = {1: 0.0, 2: -3.5}

@@ -8,7 +8,7 @@ import pytest
 from camera_files import CameraFiles
 
 from geoorbit_ros.cli.main import main
-from geoorbit_ros.storage.bag import read_track_bag, write_track_bag
+from geoorbit_ros.storage.track_bag import read_track_bag, write_track_bag
 from geoorbit_ros.storage.track_csv import read_track_csv
 
 

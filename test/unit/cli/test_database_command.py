@@ -12,7 +12,7 @@ from geoorbit_ros.cli.main import main
 from geoorbit_ros.cli.units import format_size, format_time, parse_time
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.core.tables import TRACK_DTYPE
-from geoorbit_ros.storage.database import TrajectoryDatabase
+from geoorbit_ros.storage.database.writer import TrajectoryDatabase
 
 NOON_NS = 1_777_636_800 * 10**9  # 2026-05-01 12:00 UTC
 

@@ -14,7 +14,7 @@ from geoorbit_ros.cli import main as cli
 from geoorbit_ros.cli.lanes import lanes
 from geoorbit_ros.cli.report import report
 from geoorbit_ros.core.errors import InputFileError
-from geoorbit_ros.lanes.mapper import DEFAULT_UPDATE_PERIOD_S
+from geoorbit_ros.lanes.mapping.mapper import DEFAULT_UPDATE_PERIOD_S
 
 COMMANDS = (
     *("demo", "lanes", "process", "replay", "detect", "track", "score", "report", "train"),

@@ -19,8 +19,8 @@ from geoorbit_ros.cli.main import main
 from geoorbit_ros.fleet.fleet_file import load_fleet
 from geoorbit_ros.lanes.geojson import read_lane_file, read_lanes
 from geoorbit_ros.metrics.score import score_lanes
-from geoorbit_ros.scenes.render.output import write_rendered_scene
-from geoorbit_ros.scenes.render.rendered_scene import render_scene
+from geoorbit_ros.rendering.output import write_rendered_scene
+from geoorbit_ros.rendering.rendered_scene import render_scene
 from geoorbit_ros.scenes.scene import load_scene
 from geoorbit_ros.storage.mot_text import read_mot_detections, read_mot_tracks
 from geoorbit_ros.storage.track_csv import read_track_csv

@@ -10,8 +10,8 @@ from made_twin import DATUM, made_network
 from geoorbit_ros.cli.main import main
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.lanes.geojson import write_lanes
-from geoorbit_ros.twin.map_errors import plant
-from geoorbit_ros.twin.network import load_network
+from geoorbit_ros.roadnet.network import load_network
+from scores.map_errors import plant
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from geoorbit_ros.detection.letterbox import Letterbox, centred, cornered
-from geoorbit_ros.detection.model_input import ModelInput
+from geoorbit_ros.detection.onnx.model_input import Letterbox, ModelInput, centred, cornered
 
 CANVAS = (320, 256)
 SIZES = [(1920, 1080), (640, 480), (1920, 1080), (97, 1511), (320, 256), (7, 5), (640, 480)]

@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from geoorbit_ros.core.boxes import box_corners, box_iou
 from geoorbit_ros.detection.detector import ImageError
-from geoorbit_ros.detection.motion import MotionDetector
-from geoorbit_ros.metrics.detection_score import DetectionScore
-from geoorbit_ros.scenes.render.conditions import Conditions
-from geoorbit_ros.scenes.render.rendered_scene import RenderedFrame, render_scene
+from geoorbit_ros.detection.motion.detector import MotionDetector
+from geoorbit_ros.rendering.conditions import Conditions
+from geoorbit_ros.rendering.rendered_scene import RenderedFrame, render_scene
 from geoorbit_ros.scenes.scene import load_scene
+from scores.detection_score import DetectionScore, box_corners, box_iou
 
 SIZE, FPS, DURATION_S = (1280, 720), 6.0, 24.0
 

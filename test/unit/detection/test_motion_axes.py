@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from geoorbit_ros.detection.motion_axes import RoadAxes
-from geoorbit_ros.detection.motion_sizes import Box
+from geoorbit_ros.detection.motion.road_axes import RoadAxes
+from geoorbit_ros.detection.motion.vehicle_shapes import Box
 
 
 def box_at(x: float, bottom: float) -> Box:

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from geoorbit_ros.detection.motion_axes import RoadAxes
-from geoorbit_ros.detection.motion_blobs import find_blobs
-from geoorbit_ros.detection.motion_silhouettes import Silhouettes
-from geoorbit_ros.detection.motion_sizes import Box, VehicleSizes
+from geoorbit_ros.detection.motion.blobs import find_blobs
+from geoorbit_ros.detection.motion.road_axes import RoadAxes
+from geoorbit_ros.detection.motion.vehicle_shapes import Box, Silhouettes, VehicleSizes
 
 SIZE = (1280, 720)
 FOCAL_PX = 900.0

@@ -10,7 +10,7 @@ from reference_decoder import Box, decode, iou
 
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.detection.detector import ModelError
-from geoorbit_ros.detection.onnx_yolo import OnnxYolo, YoloOptions
+from geoorbit_ros.detection.onnx.yolo import OnnxYolo, YoloOptions
 from geoorbit_ros.detection.vehicle_classes import COCO_NAMES
 
 CANVAS = (320, 256)

@@ -5,8 +5,8 @@ import pytest
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.tables import DETECTION_DTYPE
-from geoorbit_ros.detection.drawing import draw_segments
 from geoorbit_ros.detection.road_segments import LEARNING_S, RoadSegments
+from geoorbit_ros.report.image_overlay import draw_segments
 
 SIZE = (640, 360)
 

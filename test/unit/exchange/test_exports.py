@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.core.lanes import Lane, LaneMap
-from geoorbit_ros.exchange.carriageways import carriageways
 from geoorbit_ros.exchange.lanelet2 import to_lanelet2
 from geoorbit_ros.exchange.opendrive import to_opendrive
-from geoorbit_ros.exchange.sumo import to_sumo
+from geoorbit_ros.exchange.sumo import carriageways, to_sumo
 from geoorbit_ros.lanes.geojson import LaneFile
 
 DATUM = Datum(43.05, -89.35)

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.federated.client import FederatedClient, LocalResult, TrainingOrder, Work
-from geoorbit_ros.federated.client_update import ClientUpdate
 from geoorbit_ros.federated.encodings.encoding import Encoding
 from geoorbit_ros.federated.encodings.floats import Float32
 from geoorbit_ros.federated.keys import Member, Roster, Signer
-from geoorbit_ros.federated.layout import Tensors
-from geoorbit_ros.federated.server import FederatedServer
-from geoorbit_ros.federated.server_config import ServerConfig
+from geoorbit_ros.federated.payloads.client_update import ClientUpdate
+from geoorbit_ros.federated.payloads.model_layout import Tensors
+from geoorbit_ros.federated.rounds.client import FederatedClient, LocalResult, TrainingOrder, Work
+from geoorbit_ros.federated.rounds.server import FederatedServer
+from geoorbit_ros.federated.rounds.server_config import ServerConfig
 from geoorbit_ros.federated.strategies.strategy import Strategy
 
 INPUTS, HIDDEN, OUTPUTS = 6, 5, 3

@@ -12,13 +12,12 @@ import numpy as np
 import pytest
 from federation_parts import FEDERATION, Federation, signer_id
 
-from geoorbit_ros.federated import client as client_module
-from geoorbit_ros.federated import server as server_module
-from geoorbit_ros.federated.encodings.factory import make_encoding
+from geoorbit_ros.federated.encodings.registry import make_encoding
 from geoorbit_ros.federated.errors import FederationError, PayloadError, Refusal
-from geoorbit_ros.federated.ledger import Ledger
-from geoorbit_ros.federated.server_config import ServerConfig
-from geoorbit_ros.federated.server_state import read_checkpoint
+from geoorbit_ros.federated.rounds import client as client_module
+from geoorbit_ros.federated.rounds import server as server_module
+from geoorbit_ros.federated.rounds.server_config import ServerConfig
+from geoorbit_ros.federated.rounds.server_state import Ledger, read_checkpoint
 from geoorbit_ros.federated.strategies.fedadam import FedAdam
 from geoorbit_ros.federated.strategies.fedbuff import FedBuff
 

@@ -8,9 +8,9 @@ from federation_parts import FEDERATION, Federation, first_tensors, update_of
 from scipy.stats import kstest
 
 from geoorbit_ros.federated.errors import FederationError
-from geoorbit_ros.federated.privacy import clipped, epsilon, normal_noise
-from geoorbit_ros.federated.server_config import ServerConfig
-from geoorbit_ros.federated.strategies.factory import make_strategy
+from geoorbit_ros.federated.privacy.differential import clipped, epsilon, normal_noise
+from geoorbit_ros.federated.rounds.server_config import ServerConfig
+from geoorbit_ros.federated.strategies.registry import make_strategy
 
 NAMES = ("north", "south")
 CONFIG = ServerConfig(federation=FEDERATION, rounds=3, clip_norm=0.5, noise_multiplier=2.0)

@@ -7,13 +7,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
-from geoorbit_ros.federated.encodings.encoding import Encoding
-from geoorbit_ros.federated.encodings.error_feedback import ErrorFeedback
-from geoorbit_ros.federated.encodings.factory import ENCODINGS, decode_vector, make_encoding
+from geoorbit_ros.federated.encodings.encoding import Encoding, ErrorFeedback
 from geoorbit_ros.federated.encodings.floats import Float16, Float32
 from geoorbit_ros.federated.encodings.int8 import Int8
-from geoorbit_ros.federated.encodings.rice import decode_indices, encode_indices
-from geoorbit_ros.federated.encodings.top_k import TopK
+from geoorbit_ros.federated.encodings.registry import ENCODINGS, decode_vector, make_encoding
+from geoorbit_ros.federated.encodings.top_k import TopK, decode_indices, encode_indices
 from geoorbit_ros.federated.errors import FederationError, PayloadError, Refusal
 
 Vector = NDArray[np.float32]

@@ -16,16 +16,16 @@ from federation_parts import (
     update_of,
 )
 
-from geoorbit_ros.federated.client import FederatedClient
 from geoorbit_ros.federated.encodings.int8 import Int8
 from geoorbit_ros.federated.errors import FederationError, PayloadError, Refusal
-from geoorbit_ros.federated.in_process import run_in_process
 from geoorbit_ros.federated.keys import Member, Roster, read_private_key, write_private_key
-from geoorbit_ros.federated.selection import make_selection
-from geoorbit_ros.federated.server import FederatedServer
-from geoorbit_ros.federated.server_config import ServerConfig
-from geoorbit_ros.federated.strategies.factory import STRATEGIES, StrategySettings, make_strategy
+from geoorbit_ros.federated.rounds.client import FederatedClient
+from geoorbit_ros.federated.rounds.in_process import run_in_process
+from geoorbit_ros.federated.rounds.selection import make_selection
+from geoorbit_ros.federated.rounds.server import FederatedServer
+from geoorbit_ros.federated.rounds.server_config import ServerConfig
 from geoorbit_ros.federated.strategies.fedbuff import FedBuff
+from geoorbit_ros.federated.strategies.registry import STRATEGIES, StrategySettings, make_strategy
 
 NAMES = tuple(f"camera_{k}" for k in range(6))
 CONFIG = ServerConfig(federation=FEDERATION, rounds=5, deadline_s=100.0)

@@ -3,8 +3,8 @@
 from federation_parts import FEDERATION, Federation
 
 from geoorbit_ros.federated.errors import PayloadError, Refusal
-from geoorbit_ros.federated.outbox import Outbox
-from geoorbit_ros.federated.server_config import ServerConfig
+from geoorbit_ros.federated.rounds.outbox import Outbox
+from geoorbit_ros.federated.rounds.server_config import ServerConfig
 
 NAMES = ("north", "south")
 

@@ -9,14 +9,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from geoorbit_ros.federated import client_update, global_model, model_delta, theta
-from geoorbit_ros.federated.client_update import ClientUpdate
-from geoorbit_ros.federated.envelope import UNSIGNED, schema_of
 from geoorbit_ros.federated.errors import PayloadError, Refusal
-from geoorbit_ros.federated.global_model import GlobalModel
-from geoorbit_ros.federated.layout import ModelLayout
-from geoorbit_ros.federated.model_delta import ModelDelta
-from geoorbit_ros.federated.theta import ThetaPayload
+from geoorbit_ros.federated.payloads import client_update, global_model, model_delta
+from geoorbit_ros.federated.payloads import lane_parameters as theta
+from geoorbit_ros.federated.payloads.client_update import ClientUpdate
+from geoorbit_ros.federated.payloads.envelope import UNSIGNED, schema_of
+from geoorbit_ros.federated.payloads.global_model import GlobalModel
+from geoorbit_ros.federated.payloads.lane_parameters import ThetaPayload
+from geoorbit_ros.federated.payloads.model_delta import ModelDelta
+from geoorbit_ros.federated.payloads.model_layout import ModelLayout
 
 FOLDER = Path(__file__).parents[3] / "msg_defs"
 STORE = get_typestore(Stores.ROS2_JAZZY)

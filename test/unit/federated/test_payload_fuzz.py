@@ -11,15 +11,14 @@ from federation_parts import Camera, first_tensors, roster_of, update_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from geoorbit_ros.federated.admission import Admission
-from geoorbit_ros.federated.client import FederatedClient
-from geoorbit_ros.federated.encodings.factory import make_encoding
+from geoorbit_ros.federated.encodings.registry import make_encoding
 from geoorbit_ros.federated.errors import PayloadError, Refusal
 from geoorbit_ros.federated.keys import Member, Roster, Signer, Verifier
-from geoorbit_ros.federated.server import FederatedServer
-from geoorbit_ros.federated.server_config import ServerConfig
-from geoorbit_ros.federated.theta import ThetaPayload
-from geoorbit_ros.federated.theta_inbox import ThetaInbox
+from geoorbit_ros.federated.payloads.lane_parameters import ThetaInbox, ThetaPayload
+from geoorbit_ros.federated.rounds.admission import Admission
+from geoorbit_ros.federated.rounds.client import FederatedClient
+from geoorbit_ros.federated.rounds.server import FederatedServer
+from geoorbit_ros.federated.rounds.server_config import ServerConfig
 from geoorbit_ros.lanes.parameters import LaneParameters
 
 CASES = {

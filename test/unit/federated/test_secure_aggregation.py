@@ -12,22 +12,22 @@ from federation_parts import FEDERATION, Federation, signer_id, signer_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from geoorbit_ros.federated.client import FederatedClient
-from geoorbit_ros.federated.envelope import schema_of
 from geoorbit_ros.federated.errors import FederationError, PayloadError, Refusal
-from geoorbit_ros.federated.in_process import run_in_process
-from geoorbit_ros.federated.secure_aggregation import shamir
-from geoorbit_ros.federated.secure_aggregation.coordinator import Coordinator
-from geoorbit_ros.federated.secure_aggregation.masks import Quantiser, pairwise_mask, stream
-from geoorbit_ros.federated.secure_aggregation.message import (
+from geoorbit_ros.federated.payloads.envelope import schema_of
+from geoorbit_ros.federated.privacy import shamir
+from geoorbit_ros.federated.privacy.coordinator import Coordinator
+from geoorbit_ros.federated.privacy.message import (
     SecureMessage,
     Stage,
     read_rows,
     write_rows,
 )
-from geoorbit_ros.federated.secure_aggregation.participant import Participant
-from geoorbit_ros.federated.server_config import ServerConfig
-from geoorbit_ros.federated.strategies.factory import make_strategy
+from geoorbit_ros.federated.privacy.participant import Participant
+from geoorbit_ros.federated.privacy.random_stream import Quantiser, pairwise_mask, stream
+from geoorbit_ros.federated.rounds.client import FederatedClient
+from geoorbit_ros.federated.rounds.in_process import run_in_process
+from geoorbit_ros.federated.rounds.server_config import ServerConfig
+from geoorbit_ros.federated.strategies.registry import make_strategy
 
 NAMES = tuple(f"camera_{k}" for k in range(6))
 SIZE, LIMIT = 40, 4.0

@@ -11,8 +11,7 @@ from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
 from geoorbit_ros.federated.errors import FederationError
-from geoorbit_ros.federated.exact_sum import ExactSum
-from geoorbit_ros.federated.strategies.factory import STRATEGIES, StrategySettings, make_strategy
+from geoorbit_ros.federated.strategies.collection import ExactSum
 from geoorbit_ros.federated.strategies.fedadam import FedAdam
 from geoorbit_ros.federated.strategies.fedavg import FedAvg
 from geoorbit_ros.federated.strategies.fedavgm import FedAvgM
@@ -20,6 +19,7 @@ from geoorbit_ros.federated.strategies.fedbuff import FedBuff
 from geoorbit_ros.federated.strategies.fedmedian import FedMedian
 from geoorbit_ros.federated.strategies.fedprox import FedProx, proximal_gradient
 from geoorbit_ros.federated.strategies.multi_krum import MultiKrum
+from geoorbit_ros.federated.strategies.registry import STRATEGIES, StrategySettings, make_strategy
 from geoorbit_ros.federated.strategies.strategy import Strategy
 from geoorbit_ros.federated.strategies.trimmed_mean import TrimmedMean
 

@@ -8,13 +8,13 @@ from federation_parts import FEDERATION, roster_of, signer_of
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.resources import share_path
-from geoorbit_ros.federated.client import FederatedClient, LocalResult, TrainingOrder
-from geoorbit_ros.federated.encodings.factory import make_encoding
-from geoorbit_ros.federated.in_process import run_in_process
-from geoorbit_ros.federated.layout import Tensors
-from geoorbit_ros.federated.server import FederatedServer
-from geoorbit_ros.federated.server_config import ServerConfig
-from geoorbit_ros.federated.traffic import Traffic
+from geoorbit_ros.federated.encodings.registry import make_encoding
+from geoorbit_ros.federated.payloads.model_layout import Tensors
+from geoorbit_ros.federated.rounds.client import FederatedClient, LocalResult, TrainingOrder
+from geoorbit_ros.federated.rounds.in_process import run_in_process
+from geoorbit_ros.federated.rounds.server import FederatedServer
+from geoorbit_ros.federated.rounds.server_config import ServerConfig
+from geoorbit_ros.federated.rounds.traffic import Traffic
 from geoorbit_ros.learning.features import FEATURE_NAMES
 from geoorbit_ros.learning.meta_learner import DEFAULT_LOGIT, MetaLearner
 from geoorbit_ros.learning.parameter_space import PARAMETER_NAMES

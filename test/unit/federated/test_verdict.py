@@ -12,14 +12,13 @@ from federation_parts import FEDERATION, Camera, Federation, signer_id, update_o
 from hypothesis import given
 from hypothesis import strategies as st
 
-from geoorbit_ros.federated.client import FederatedClient, LocalResult, Work
-from geoorbit_ros.federated.encodings.factory import make_encoding
+from geoorbit_ros.federated.encodings.registry import make_encoding
 from geoorbit_ros.federated.errors import FederationError, PayloadError, Refusal
-from geoorbit_ros.federated.global_model import GlobalModel
-from geoorbit_ros.federated.in_process import run_in_process
-from geoorbit_ros.federated.server_config import ServerConfig
-from geoorbit_ros.federated.strategies.fedbuff import FedBuff
-from geoorbit_ros.federated.verdict import (
+from geoorbit_ros.federated.payloads.global_model import GlobalModel
+from geoorbit_ros.federated.rounds.client import FederatedClient, LocalResult, Work
+from geoorbit_ros.federated.rounds.in_process import run_in_process
+from geoorbit_ros.federated.rounds.server_config import ServerConfig
+from geoorbit_ros.federated.rounds.verdict import (
     GAIN_LIMIT,
     Ballot,
     is_judge,
@@ -27,6 +26,7 @@ from geoorbit_ros.federated.verdict import (
     judge_divisor,
     shares,
 )
+from geoorbit_ros.federated.strategies.fedbuff import FedBuff
 
 NAMES = tuple(f"camera{k}" for k in range(12))
 DIVISOR = judge_divisor([signer_id(name) for name in NAMES], 4)

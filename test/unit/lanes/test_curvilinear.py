@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from traffic import Stream, arc, rotated, straight, traffic
 
 from geoorbit_ros.core.lanes import Lane, LaneMap
+from geoorbit_ros.core.polylines import project
 from geoorbit_ros.core.tables import TRACK_DTYPE, Frames, frames_from_rows
-from geoorbit_ros.lanes.curvilinear import CurvilinearEstimator
+from geoorbit_ros.lanes.estimators.curvilinear.estimator import CurvilinearEstimator
 from geoorbit_ros.lanes.parameters import LaneParameters
-from geoorbit_ros.metrics.polyline import project
 
 LANE_M = 3.6
 

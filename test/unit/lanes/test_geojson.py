@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.core.errors import InputFileError
 from geoorbit_ros.core.lanes import CrossSection, Lane, LaneMap
+from geoorbit_ros.core.polylines import offset_line
 from geoorbit_ros.lanes.geojson import (
     dumps_lanes,
     lanes_to_geojson,
@@ -22,7 +23,6 @@ from geoorbit_ros.lanes.geojson import (
     read_lanes,
     write_lanes,
 )
-from geoorbit_ros.metrics.polyline import offset_line
 
 DATUM = Datum(43.0439, -89.3424)
 DOCUMENTED = {

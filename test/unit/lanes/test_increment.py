@@ -7,11 +7,11 @@ from traffic import Stream, straight, traffic
 
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.core.tables import Frames
-from geoorbit_ros.lanes.curvilinear import CurvilinearEstimator
-from geoorbit_ros.lanes.evidence import Evidence
-from geoorbit_ros.lanes.increment import BUNDLE, MORE, LaneCounter, Strays
+from geoorbit_ros.lanes.estimators.curvilinear.estimator import CurvilinearEstimator
+from geoorbit_ros.lanes.estimators.curvilinear.evidence import Evidence
+from geoorbit_ros.lanes.estimators.curvilinear.trajectory_segments import Passes
+from geoorbit_ros.lanes.mapping.update_policy import BUNDLE, MORE, LaneCounter, Strays
 from geoorbit_ros.lanes.parameters import LaneParameters
-from geoorbit_ros.lanes.passes import Passes
 
 LANE_M = 3.6
 MINUTE_NS = 70_000_000_000

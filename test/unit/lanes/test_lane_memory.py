@@ -11,9 +11,8 @@ from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.core.errors import InputFileError
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.core.tables import TRACK_DTYPE
-from geoorbit_ros.lanes.factory import make_estimator
-from geoorbit_ros.lanes.live_mapper import LiveMapper
-from geoorbit_ros.lanes.memory import LaneMemory
+from geoorbit_ros.lanes.estimators.registry import make_estimator
+from geoorbit_ros.lanes.mapping.live_mapper import LaneMemory, LiveMapper
 from geoorbit_ros.lanes.parameters import LaneParameters
 
 DATUM = Datum(43.0, -89.4)

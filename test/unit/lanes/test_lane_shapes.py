@@ -6,14 +6,21 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from geoorbit_ros.lanes.candidates import find_candidates, find_ridges
-from geoorbit_ros.lanes.centerlines import Centerline
-from geoorbit_ros.lanes.junctions import hand_over
-from geoorbit_ros.lanes.lane_ends import straighten_ends
+from geoorbit_ros.lanes.estimators.curvilinear.candidates import (
+    find_candidates,
+    find_ridges,
+    straighten_ends,
+)
+from geoorbit_ros.lanes.estimators.curvilinear.centerlines import Centerline
+from geoorbit_ros.lanes.estimators.curvilinear.junctions import hand_over
+from geoorbit_ros.lanes.estimators.curvilinear.profiles import Profiles
+from geoorbit_ros.lanes.estimators.curvilinear.ridges import MIN_SPACING_M, Ridge, separate
+from geoorbit_ros.lanes.estimators.curvilinear.widths import (
+    Spacing,
+    lane_widths,
+    neighbour_spacings,
+)
 from geoorbit_ros.lanes.parameters import LaneParameters
-from geoorbit_ros.lanes.profiles import Profiles
-from geoorbit_ros.lanes.ridges import MIN_SPACING_M, Ridge, separate
-from geoorbit_ros.lanes.widths import Spacing, lane_widths, neighbour_spacings
 
 STATIONS = 40
 

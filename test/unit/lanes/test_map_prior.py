@@ -7,7 +7,7 @@ import pytest
 from made_detections import lane
 
 from geoorbit_ros.core.lanes import Lane, LaneMap
-from geoorbit_ros.lanes.map_prior import MapPrior
+from geoorbit_ros.lanes.mapping.map_prior import MapPrior
 
 X = np.arange(0.0, 150.0, 2.0)
 

@@ -8,12 +8,11 @@ from traffic import Stream, straight, traffic
 
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.core.lanes import LaneMap
-from geoorbit_ros.core.tables import Frames
-from geoorbit_ros.core.vehicle_classes import UNKNOWN_CLASS
-from geoorbit_ros.lanes.curvilinear import CurvilinearEstimator
-from geoorbit_ros.lanes.evidence import Evidence
-from geoorbit_ros.lanes.factory import make_estimator
-from geoorbit_ros.lanes.mapper import LaneMapper
+from geoorbit_ros.core.tables import UNKNOWN_CLASS, Frames
+from geoorbit_ros.lanes.estimators.curvilinear.estimator import CurvilinearEstimator
+from geoorbit_ros.lanes.estimators.curvilinear.evidence import Evidence
+from geoorbit_ros.lanes.estimators.registry import make_estimator
+from geoorbit_ros.lanes.mapping.mapper import LaneMapper
 from geoorbit_ros.lanes.parameters import LaneParameters
 
 LANE_M = 3.6

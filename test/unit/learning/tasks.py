@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from traffic import Stream, straight, traffic
 
 from geoorbit_ros.core.lanes import Lane
+from geoorbit_ros.core.polylines import offset_line
 from geoorbit_ros.core.tables import Frames
 from geoorbit_ros.learning.camera_task import CameraTask, save_task
 from geoorbit_ros.learning.features import scene_features
-from geoorbit_ros.metrics.polyline import offset_line
 
 
 def made_lane(lane_id: int, line_m: NDArray[np.float64], vehicles: float = 12.0) -> Lane:

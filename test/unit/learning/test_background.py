@@ -8,7 +8,7 @@ from concurrent.futures.process import BrokenProcessPool
 
 import pytest
 
-from geoorbit_ros.learning.background import NICENESS, BackgroundProcess
+from geoorbit_ros.learning.processes import NICENESS, BackgroundProcess
 
 LIMIT_S = 60.0
 

@@ -9,11 +9,11 @@ import pytest
 from numpy.typing import NDArray
 from tasks import made_task
 
-from geoorbit_ros.learning.acceptance import gains_of, verdict_of
 from geoorbit_ros.learning.objective import Objective
 from geoorbit_ros.learning.parameter_search import search_theta
 from geoorbit_ros.learning.parameter_space import DEFAULT_UNIT
-from geoorbit_ros.metrics.composite import LaneLosses
+from geoorbit_ros.learning.validation import gains_of, verdict_of
+from geoorbit_ros.metrics.paper_losses import LaneLosses
 
 
 def loss(total: float, detected: int = 2) -> LaneLosses:

@@ -14,13 +14,13 @@ from tasks import made_task
 from geoorbit_ros.cli.main import EXIT_BAD_INPUT, main
 from geoorbit_ros.learning.camera_task import load_task, save_task
 from geoorbit_ros.learning.evaluation import count_is_right
-from geoorbit_ros.learning.fleet import Cameras, Fleet, MapErrors, scene_task
 from geoorbit_ros.learning.history import load_history
 from geoorbit_ros.learning.local_training import Examples
 from geoorbit_ros.learning.meta_learner import MetaLearner
 from geoorbit_ros.learning.model_file import load_model
 from geoorbit_ros.learning.parameter_space import PARAMETER_NAMES
-from geoorbit_ros.learning.recordings import count_vehicles
+from geoorbit_ros.learning.population import Cameras, Fleet, MapErrors, scene_task
+from geoorbit_ros.learning.population_cameras import count_vehicles
 from geoorbit_ros.learning.training import RunSettings, TrainedModel, train
 
 FLEET = """

@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.tables import FLAG_TRUNCATED, PIXEL_TRACK_DTYPE
-from geoorbit_ros.metrics.detection_score import DetectionScore
+from scores.detection_score import DetectionScore
 
 Row = tuple[float, float, float, float, float, int]
 CAR: Row = (100.0, 100.0, 40.0, 20.0, 1.0, 0)

@@ -12,13 +12,16 @@ from numpy.typing import NDArray
 from test_score import lane, moved
 
 from geoorbit_ros.core.errors import ParameterError, TableError
-from geoorbit_ros.metrics.communication import bits_per_second
-from geoorbit_ros.metrics.composite import LaneLosses, LossWeights, lane_losses
-from geoorbit_ros.metrics.frechet import discrete_frechet, frechet_matrix, resample
-from geoorbit_ros.metrics.lane_number import lane_number_loss
-from geoorbit_ros.metrics.lane_pairs import pair_lanes
-from geoorbit_ros.metrics.triplet import center_loss
-from geoorbit_ros.metrics.width_loss import width_loss
+from geoorbit_ros.federated.rounds.traffic import bits_per_second
+from geoorbit_ros.metrics.lane_pairs import discrete_frechet, frechet_matrix, pair_lanes, resample
+from geoorbit_ros.metrics.paper_losses import (
+    LaneLosses,
+    LossWeights,
+    center_loss,
+    lane_losses,
+    lane_number_loss,
+    width_loss,
+)
 
 Array = NDArray[np.float64]
 ROAD = [lane(1), lane(2, 3.5), lane(3, 7.0)]

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from geoorbit_ros.core.lanes import Lane
-from geoorbit_ros.metrics.polyline import offset_line, project, sample
+from geoorbit_ros.core.polylines import offset_line, project, sample
 from geoorbit_ros.metrics.score import score_lanes
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geoorbit_ros.metrics.lane_score import LaneScore, MatchedLane
-from geoorbit_ros.metrics.tally import Tally
+from geoorbit_ros.metrics.lane_score import LaneScore, MatchedLane, Tally
 
 
 def row(

@@ -5,9 +5,9 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from geoorbit_ros.core.boxes import box_corners, box_iou
 from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE, Frames, frames_from_rows
-from geoorbit_ros.metrics.tracking_score import score_tracks
+from scores.detection_score import box_corners, box_iou
+from scores.tracking_score import score_tracks
 
 
 def frames_of(*tables: list[tuple[int, float]]) -> Frames:

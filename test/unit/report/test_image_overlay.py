@@ -6,8 +6,8 @@ import pytest
 from geoorbit_ros.calibration.control_points import ControlPoints
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.core.lanes import Lane, LaneMap
+from geoorbit_ros.core.polylines import offset_line
 from geoorbit_ros.core.tables import FLAG_PREDICTED, PIXEL_TRACK_DTYPE, TRACK_DTYPE
-from geoorbit_ros.metrics.polyline import offset_line
 from geoorbit_ros.report.image_overlay import ImageOverlay, id_colour
 
 SIZE = 640, 480

@@ -14,14 +14,13 @@ from geoorbit_ros.calibration.control_points import ControlPoints
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.core.lanes import CrossSection, Lane, LaneMap
+from geoorbit_ros.core.polylines import offset_line
 from geoorbit_ros.core.tables import FLAG_TRUNCATED, TRACK_DTYPE
-from geoorbit_ros.metrics.polyline import offset_line
 from geoorbit_ros.report.lane_drawing import direction_groups
-from geoorbit_ros.report.map_view import fit_map_frame
 from geoorbit_ros.report.page import ReportInput, report_html
-from geoorbit_ros.report.provenance import sha256
-from geoorbit_ros.report.recording import Recording
+from geoorbit_ros.report.recording import Recording, sha256
 from geoorbit_ros.report.svg import nice_step, path_data
+from geoorbit_ros.report.views import fit_map_frame
 
 VOID = {"meta", "link", "br", "img", "hr", "input"}
 

@@ -11,8 +11,7 @@ from made_scenes import camera_of, true_lanes
 
 from geoorbit_ros.core.errors import InputFileError
 from geoorbit_ros.core.resources import share_path
-from geoorbit_ros.scenes.scene import Scene, load_scene, shipped_scenes
-from geoorbit_ros.scenes.scene_rules import road_length_m
+from geoorbit_ros.scenes.scene import Scene, load_scene, road_length_m, shipped_scenes
 
 REQUIRED = ("straight", "curve", "s_curve", "on_ramp", "off_ramp", "lane_drop", "urban", "night")
 

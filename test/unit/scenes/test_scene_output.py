@@ -18,7 +18,7 @@ from geoorbit_ros.core.tables import FLAG_GROUND_POINT, Frames
 from geoorbit_ros.lanes.geojson import read_lane_file
 from geoorbit_ros.scenes.output import SceneFiles, write_scene_run
 from geoorbit_ros.scenes.simulate import SceneRun
-from geoorbit_ros.storage.bag import read_track_bag
+from geoorbit_ros.storage.track_bag import read_track_bag
 from geoorbit_ros.storage.track_csv import read_track_csv
 
 NAMES = [

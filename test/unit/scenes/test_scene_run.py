@@ -9,8 +9,8 @@ from made_scenes import Array, rotation_of, run_of, true_lanes, turned
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.tables import Frames
-from geoorbit_ros.scenes import network
-from geoorbit_ros.scenes.network import NetworkError
+from geoorbit_ros.roadnet import netconvert
+from geoorbit_ros.roadnet.netconvert import NetworkError
 from geoorbit_ros.scenes.scene import load_scene
 from geoorbit_ros.scenes.simulate import SceneRun, simulate
 
@@ -210,7 +210,7 @@ def test_a_seed_out_of_range_is_refused(seed: int) -> None:
 
 
 def test_a_missing_sumo_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(network, "find_spec", lambda _name: None)
+    monkeypatch.setattr(netconvert, "find_spec", lambda _name: None)
     with pytest.raises(NetworkError, match=r"SUMO: found no Python package.*pip install"):
         simulate(load_scene("s_curve"), 5.0, 1)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from geoorbit_ros.core.tables import TRACK_DTYPE
-from geoorbit_ros.storage.database import TrajectoryDatabase
+from geoorbit_ros.storage.database.writer import TrajectoryDatabase
 
 database = TrajectoryDatabase(Path(sys.argv[1]))
 rows = np.zeros(3, TRACK_DTYPE)

@@ -13,8 +13,8 @@ from made_frames import steady_frames
 
 from geoorbit_ros.core.errors import InputFileError, ParameterError
 from geoorbit_ros.core.tables import TRACK_DTYPE, Frames
-from geoorbit_ros.storage.database import TrajectoryDatabase, TrajectoryReader
-from geoorbit_ros.storage.export import COLUMNS, SCHEMA, export_tracks
+from geoorbit_ros.storage.database.export import COLUMNS, SCHEMA, export_tracks
+from geoorbit_ros.storage.database.writer import TrajectoryDatabase, TrajectoryReader
 
 START_NS = 1_700_000_000_123_456_789
 FRAMES = steady_frames(100, 4, TRACK_DTYPE, START_NS)
@@ -97,8 +97,8 @@ def test_a_refused_export_leaves_nothing(tmp_path: Path, database: Path) -> None
 
 PEAK = """
 import resource, sys
-from geoorbit_ros.storage.database import TrajectoryReader
-from geoorbit_ros.storage.export import export_tracks
+from geoorbit_ros.storage.database.writer import TrajectoryReader
+from geoorbit_ros.storage.database.export import export_tracks
 with TrajectoryReader(sys.argv[1]) as reader:
     export_tracks(reader, sys.argv[2])
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)

@@ -7,9 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from geoorbit_ros.storage.frames.feed import FrameFeed
-from geoorbit_ros.storage.frames.live import LiveFrames
-from geoorbit_ros.storage.frames.pace import Pace, Thinning
+from geoorbit_ros.storage.frames.feed import FrameFeed, LiveFrames, Pace, Thinning
 from geoorbit_ros.storage.frames.source import FrameSource, FrameSourceError, StampedImage
 
 LIMIT_S = 10.0

@@ -21,9 +21,9 @@ from geoorbit_ros.core.errors import (
     TableError,
 )
 from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE, TRACK_DTYPE, Frames
-from geoorbit_ros.storage.bag import read_track_bag, write_track_bag
 from geoorbit_ros.storage.bag_reader import Storage, bag_messages, describe_bag
 from geoorbit_ros.storage.pointcloud2 import MESSAGE_TYPE, encode_table
+from geoorbit_ros.storage.track_bag import read_track_bag, write_track_bag
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 STORAGES: tuple[Storage, ...] = ("mcap", "sqlite3")

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from geoorbit_ros.tracking.flow import CAPACITY, Flow
-from geoorbit_ros.tracking.motion import MEAN, RATE, MotionNoise
+from geoorbit_ros.tracking.motion_model import MEAN, RATE, MotionNoise
+from geoorbit_ros.tracking.traffic_model import CAPACITY, Flow
 
 NOISE = MotionNoise()
 BOX = np.array([[600.0], [400.0], [40.0], [30.0]])

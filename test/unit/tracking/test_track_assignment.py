@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from geoorbit_ros.tracking.assignment import assign
+from geoorbit_ros.tracking.association import assign
 
 LIMIT = 10.0
 costs = st.dictionaries(

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made_traffic import Vehicle
 
-from geoorbit_ros.tracking.motion import (
+from geoorbit_ros.tracking.motion_model import (
     COVARIANCE,
     MEAN,
     RATE,

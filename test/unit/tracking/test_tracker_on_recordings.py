@@ -12,15 +12,15 @@ from geoorbit_ros.calibration.box_projector import BoxProjector
 from geoorbit_ros.calibration.control_points import read_control_points
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.core.tables import DETECTION_DTYPE, FLAG_PREDICTED, Frames
-from geoorbit_ros.lanes.factory import make_estimator
-from geoorbit_ros.lanes.mapper import LaneMapper
+from geoorbit_ros.lanes.estimators.registry import make_estimator
+from geoorbit_ros.lanes.mapping.mapper import LaneMapper
 from geoorbit_ros.lanes.pipeline import map_lanes, project_frames
-from geoorbit_ros.metrics.tracking_score import score_tracks
 from geoorbit_ros.scenes.scene import load_scene
 from geoorbit_ros.scenes.simulate import simulate
 from geoorbit_ros.storage.track_csv import read_track_csv
 from geoorbit_ros.tracking.parameters import TrackerParameters
 from geoorbit_ros.tracking.tracker import Tracker
+from scores.tracking_score import score_tracks
 
 REAL_DATA = os.environ.get("GEOORBIT_REAL_DATA")
 

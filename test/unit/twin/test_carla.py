@@ -12,21 +12,21 @@ from made_twin import DATUM, made_network, rows
 from geoorbit_ros.calibration.camera_pose import recover_pose
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.calibration.homography import fit_homography
+from geoorbit_ros.roadnet.errors import CarlaError, RoadNetworkError
+from geoorbit_ros.roadnet.map_build import build_from_network
+from geoorbit_ros.roadnet.network import RoadNetwork, load_network
 from geoorbit_ros.scenes.roads import place_roads
 from geoorbit_ros.scenes.scene import load_scene
 from geoorbit_ros.scenes.simulate import scene_camera
 from geoorbit_ros.scenes.survey import survey_control_points
-from geoorbit_ros.twin.carla_client import CarlaClient, picture, transform
-from geoorbit_ros.twin.carla_fleet import CarlaFleet
-from geoorbit_ros.twin.carla_frame import (
+from geoorbit_ros.twin.carla.client import CarlaClient, picture, transform
+from geoorbit_ros.twin.carla.frame import (
     CarlaPose,
     camera_pose,
     read_opendrive,
     vehicle_pose,
 )
-from geoorbit_ros.twin.errors import CarlaError, RoadNetworkError
-from geoorbit_ros.twin.map_build import build_from_network
-from geoorbit_ros.twin.network import RoadNetwork, load_network
+from geoorbit_ros.twin.carla.vehicles import CarlaFleet
 
 carla: Any = pytest.importorskip("carla", reason="CARLA's client needs Python 3.10 to 3.12")
 ORIGIN = np.zeros(2)

@@ -10,15 +10,15 @@ from made_twin import DATUM, FakeSimulation
 
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.core.tables import TRACK_DTYPE
+from geoorbit_ros.roadnet.errors import SimulationError
+from geoorbit_ros.roadnet.network import RoadNetwork, load_network
 from geoorbit_ros.scenes.network import write_network
 from geoorbit_ros.scenes.road_plan import Road, Start, Straight
 from geoorbit_ros.scenes.roads import place_roads
 from geoorbit_ros.scenes.scene import load_scene
-from geoorbit_ros.twin.errors import SimulationError
-from geoorbit_ros.twin.forecast import AS_IT_IS, WITH_CHANGES, Forecast, ForecastRun
-from geoorbit_ros.twin.forecast_files import ForecastStart
-from geoorbit_ros.twin.network import RoadNetwork, load_network
-from geoorbit_ros.twin.observed_traffic import Demand, ObservedTraffic
+from geoorbit_ros.twin.forecast.files import ForecastStart
+from geoorbit_ros.twin.forecast.observed_traffic import Demand, ObservedTraffic
+from geoorbit_ros.twin.forecast.runs import AS_IT_IS, WITH_CHANGES, Forecast, ForecastRun
 from geoorbit_ros.twin.scenario import Scenario, parse_scenario
 from geoorbit_ros.twin.synchronizer import Synchronizer
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from made_twin import DATUM, START_NS, STEP_NS, FakeSimulation, Steps, made_network, rows
 
-from geoorbit_ros.twin.network import RoadNetwork, load_network
+from geoorbit_ros.roadnet.network import RoadNetwork, load_network
 from geoorbit_ros.twin.synchronizer import Synchronizer
 
 LANE_Y = -5.25

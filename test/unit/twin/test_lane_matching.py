@@ -7,8 +7,8 @@ import pytest
 from made_twin import made_network, made_roads
 from numpy.typing import NDArray
 
+from geoorbit_ros.roadnet.network import NONE, RoadNetwork, load_network
 from geoorbit_ros.twin.matching import LaneMatcher
-from geoorbit_ros.twin.network import NONE, RoadNetwork, load_network
 
 
 @pytest.fixture(scope="module")

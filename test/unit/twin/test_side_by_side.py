@@ -8,14 +8,14 @@ import pytest
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.core.tables import TRACK_DTYPE
+from geoorbit_ros.mapcheck.alignment import Alignment
+from geoorbit_ros.roadnet.network import RoadNetwork, load_network
 from geoorbit_ros.scenes.camera import PinholeCamera
 from geoorbit_ros.scenes.network import write_network
 from geoorbit_ros.scenes.roads import place_roads
 from geoorbit_ros.scenes.scene import load_scene
 from geoorbit_ros.scenes.simulate import scene_camera
 from geoorbit_ros.scenes.survey import survey_control_points
-from geoorbit_ros.twin.alignment import Alignment
-from geoorbit_ros.twin.network import RoadNetwork, load_network
 from geoorbit_ros.twin.side_by_side import compare_boxes, side_by_side
 from geoorbit_ros.twin.twin_camera import TwinCamera
 

@@ -14,16 +14,16 @@ from made_twin import DATUM, made_network, made_roads
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import ParameterError
-from geoorbit_ros.twin.errors import RoadNetworkError, SimulationError
-from geoorbit_ros.twin.network import RoadNetwork, load_network
+from geoorbit_ros.roadnet.errors import RoadNetworkError, SimulationError
+from geoorbit_ros.roadnet.network import RoadNetwork, load_network
 from geoorbit_ros.twin.running_network import (
     MAX_POINTS,
     MIN_PIECE_M,
     TOLERANCE_M,
+    thin,
     write_running_network,
 )
 from geoorbit_ros.twin.simulation import Backend, Moves, SumoSimulation, backend_of
-from geoorbit_ros.twin.thinning import thin
 
 
 @pytest.fixture(scope="module")

@@ -17,21 +17,21 @@ from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.cli.main import main
 from geoorbit_ros.core.tables import DETECTION_DTYPE
 from geoorbit_ros.lanes.pipeline import project_frames
+from geoorbit_ros.roadnet.network import load_network
 from geoorbit_ros.scenes.network import write_network
 from geoorbit_ros.scenes.output import write_scene_run
 from geoorbit_ros.scenes.roads import place_roads
 from geoorbit_ros.scenes.scene import Scene, load_scene
 from geoorbit_ros.scenes.simulate import SceneRun, simulate
 from geoorbit_ros.scenes.traffic import TrafficRecord, simulate_traffic
-from geoorbit_ros.storage.bag import write_track_bag
+from geoorbit_ros.storage.track_bag import write_track_bag
 from geoorbit_ros.storage.track_csv import read_track_csv
 from geoorbit_ros.tracking.parameters import TrackerParameters
 from geoorbit_ros.tracking.tracker import Tracker
-from geoorbit_ros.twin.network import load_network
 from geoorbit_ros.twin.placement import TwinStep
 from geoorbit_ros.twin.replay import ReplayScore, TrackStream, replay_tracks
 from geoorbit_ros.twin.simulation import SumoSimulation
-from geoorbit_ros.twin.truth import LaneScore, LaneTruth
+from scores.twin_truth import LaneScore, LaneTruth
 
 DURATION_S, SEED = 20.0, 3
 REAL = os.environ.get("GEOORBIT_REAL_DATA")

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from made_twin import made_network
 
+from geoorbit_ros.roadnet.network import RoadNetwork, load_network
 from geoorbit_ros.scenes.simulate import START_NS
 from geoorbit_ros.scenes.traffic import STEP_S, TrafficRecord
-from geoorbit_ros.twin.network import RoadNetwork, load_network
 from geoorbit_ros.twin.placement import TwinStep
-from geoorbit_ros.twin.truth import LaneTruth
+from scores.twin_truth import LaneTruth
 
 STEPS, SPEED_MPS = 10, 20.0
 

@@ -1,0 +1,120 @@
+"""`geoorbit twin forecast`: ten minutes ahead of a recording, with and without changes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from geoorbit_ros.cli.inputs import DatumOption, ImageSizeOption
+from geoorbit_ros.cli.twin.replay import BagsArgument, CalibrationsOption, NetOption, open_streams
+
+if TYPE_CHECKING:
+    from geoorbit_ros.twin.forecast.runs import Forecast
+
+
+def forecast(
+    bags: BagsArgument,
+    net: NetOption,
+    out: Annotated[Path, typer.Option("--out", help="Folder for the results; must not exist.")],
+    calibration: CalibrationsOption,
+    close_lane: Annotated[
+        list[str] | None,
+        typer.Option("--close-lane", help="A lane, or an edge with all its lanes."),
+    ] = None,
+    speed_limit: Annotated[
+        list[str] | None, typer.Option("--speed-limit", help="LANE=KMH or EDGE=KMH.")
+    ] = None,
+    minutes: Annotated[
+        float, typer.Option("--minutes", min=0.5, max=120.0, help="How far ahead.")
+    ] = 10.0,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Of arrivals and drivers.")] = 1,
+    limit_s: Annotated[
+        float, typer.Option("--limit-s", min=1.0, help="Give up after this long.")
+    ] = 300.0,
+    image_size: ImageSizeOption = "1920x1080",
+    datum: DatumOption = None,
+) -> None:
+    """Run the traffic of a recording ahead: speeds and queues per lane, with and without changes.
+
+    The forecast begins with the vehicles at the recording's end, and goes on with the flows, turns
+    and drivers that it shows. Into the folder go forecast.json and forecast.png.
+
+    Example: [bold]geoorbit twin forecast north_bag --net area/network.net.xml --calibration
+    north.csv --close-lane east_0 --speed-limit east=60 --out ahead[/bold]
+    """
+    import json
+
+    from geoorbit_ros.cli.console import console, say, status
+    from geoorbit_ros.core.errors import NoTrafficError
+    from geoorbit_ros.roadnet.network import load_network
+    from geoorbit_ros.storage.atomic import atomic_output
+    from geoorbit_ros.twin.forecast.files import ForecastStart
+    from geoorbit_ros.twin.forecast.image import save_forecast_picture
+    from geoorbit_ros.twin.forecast.observed_traffic import ObservedTraffic
+    from geoorbit_ros.twin.forecast.runs import ForecastRun
+    from geoorbit_ros.twin.replay import STEP_S, replay_tracks
+    from geoorbit_ros.twin.scenario import parse_scenario
+    from geoorbit_ros.twin.simulation import SumoSimulation
+
+    with atomic_output(out) as folder:
+        streams = open_streams(bags, calibration, image_size, datum)
+        network = load_network(net, streams[0].datum)
+        place = "options --close-lane, --speed-limit"
+        scenario = parse_scenario(close_lane or (), speed_limit or (), network, place)
+        traffic = ObservedTraffic(network, float("1e6"))
+        simulation = SumoSimulation(net, STEP_S)
+        try:
+            replay_tracks(network, simulation, streams, traffic.add)
+        finally:
+            simulation.close()
+        demand = traffic.demand()
+        if demand is None or traffic.last is None:
+            found = "too little traffic to know its flows"
+            raise NoTrafficError(str(net), found, "a longer recording on this network's lanes")
+        start = ForecastStart(traffic.last, demand, 60.0 * minutes, seed)
+        run = ForecastRun(network, start, scenario, limit_s)
+        try:
+            with status(f"{minutes:g} minutes ahead"):
+                found_all = run.wait()
+        finally:
+            run.close()
+        folder.mkdir()
+        values = {
+            "observed_s": demand.time_s,
+            "observed_flow_per_h": demand.edge_flow_per_h,
+            "horizon_s": start.horizon_s,
+            "forecasts": [one.values() for one in found_all],
+        }
+        text = json.dumps(values, indent=2, allow_nan=False)
+        (folder / "forecast.json").write_text(text + "\n", encoding="utf-8")
+        save_forecast_picture(folder / "forecast.png", network, found_all)
+    _print(found_all)
+    flows = ", ".join(f"{edge} {flow:.0f}" for edge, flow in demand.edge_flow_per_h.items())
+    say(f"Seen in {demand.time_s:.0f} s, vehicles per hour: {flows}.")
+    for one in found_all:
+        say(
+            f"{one.scenario.capitalize()} ({one.changes}): {one.left_per_h:.0f} vehicles per hour "
+            f"get through; {one.waiting} found no room to enter."
+        )
+    console.print(f" Wrote {out}", soft_wrap=True)
+
+
+def _print(forecasts: list[Forecast]) -> None:
+    from geoorbit_ros.cli.console import console, make_table
+
+    columns = "".join(f"|>{name}" for name in ("km/h", "veh/h", "veh/km", "s", "queue m", "max m"))
+    for one in forecasts:
+        table = make_table(f"Forecast: {one.scenario}", f"lane{columns}")
+        for lane in one.lanes:
+            table.add_row(
+                lane.lane,
+                "–" if lane.speed_kmh is None else f"{lane.speed_kmh:.0f}",
+                f"{lane.flow_per_h:.0f}",
+                f"{lane.density_per_km:.1f}",
+                "–" if lane.travel_time_s is None else f"{lane.travel_time_s:.0f}",
+                f"{lane.queue_m_mean:.0f}",
+                f"{lane.queue_m_max:.0f}",
+            )
+        console.print(table)

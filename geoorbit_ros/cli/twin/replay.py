@@ -1,0 +1,302 @@
+"""`geoorbit twin`: the SUMO twin of the road."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from geoorbit_ros.cli.inputs import DatumOption, ImageSizeOption
+from geoorbit_ros.cli.twin import map_check as twin_map
+
+if TYPE_CHECKING:
+    from geoorbit_ros.mapcheck.driven_lanes import DrivenNetwork
+    from geoorbit_ros.roadnet.network import RoadNetwork
+    from geoorbit_ros.twin.replay import ReplayScore, TrackStream
+
+app = typer.Typer(help="The road's digital twin in SUMO.", no_args_is_help=True)
+app.command("validate")(twin_map.validate)
+app.command("patch")(twin_map.patch)
+
+BagsArgument = Annotated[
+    list[Path], typer.Argument(help="Tracked boxes: one rosbag2 bag with tracks_px per camera.")
+]
+NetOption = Annotated[
+    Path, typer.Option("--net", help="SUMO network with a projection (geoorbit map build).")
+]
+CalibrationsOption = Annotated[
+    list[Path],
+    typer.Option("--calibration", help="Control points, a CSV per bag in the same order."),
+]
+StepOption = Annotated[
+    float, typer.Option("--step-s", min=0.01, max=1.0, help="Length of a simulation step.")
+]
+
+
+@app.command("replay")
+def replay(
+    bags: BagsArgument,
+    net: NetOption,
+    out: Annotated[Path, typer.Option("--out", help="Folder for the results; must not exist.")],
+    calibration: CalibrationsOption,
+    image_size: ImageSizeOption = "1920x1080",
+    datum: DatumOption = None,
+    step_s: StepOption = 0.1,
+    align: Annotated[
+        bool,
+        typer.Option(
+            "--align/--no-align",
+            help="Learn the lanes first; lay the tracks on the map where they don't fit it, and "
+            "count vehicles to its lanes where those are driven.",
+        ),
+    ] = True,
+    video: Annotated[
+        Path | None,
+        typer.Option("--video", help="The first bag's film, for the picture side by side."),
+    ] = None,
+) -> None:
+    """Let the recorded vehicles drive through a SUMO network, and say how well it followed.
+
+    Into the folder go score.json, vehicles.csv (every vehicle of the twin in every step), twin.png
+    and, for every camera, what it saw beside what the twin shows: side_by_side_CAMERA.png.
+
+    Example: [bold]geoorbit twin replay north_bag --net area/network.net.xml
+    --calibration north.csv --out twin[/bold]
+    """
+    import json
+
+    from geoorbit_ros.cli.console import console, say
+    from geoorbit_ros.cli.inputs import parse_image_size
+    from geoorbit_ros.cli.twin.side_by_side import BusiestStep, save_side_by_side
+    from geoorbit_ros.core.errors import GeoOrbitError
+    from geoorbit_ros.roadnet.network import load_network
+    from geoorbit_ros.storage.atomic import atomic_output
+    from geoorbit_ros.twin.image import WayKeeper, save_picture
+    from geoorbit_ros.twin.placement import TwinStep
+    from geoorbit_ros.twin.replay import replay_tracks
+    from geoorbit_ros.twin.simulation import SumoSimulation
+    from geoorbit_ros.twin.state_file import StateWriter
+
+    with atomic_output(out) as folder:
+        streams = open_streams(bags, calibration, image_size, datum)
+        network = load_network(net, streams[0].datum)
+        said, driven = ["Tracks are where the cameras see them."], None
+        if align:
+            streams, driven, said = align_streams(streams, network)
+        simulation = SumoSimulation(net, step_s)
+        folder.mkdir()
+        ways, busiest = WayKeeper(), BusiestStep()
+        try:
+            with StateWriter(folder / "vehicles.csv", network) as states:
+
+                def take(step: TwinStep) -> None:
+                    states.write(step)
+                    ways.add(step.xy, step.lane)
+                    busiest.add(step)
+
+                score = replay_tracks(network, simulation, streams, take, step_s, driven=driven)
+        finally:
+            simulation.close()
+        _check_traffic(score, str(net))
+        aligned = {s.camera: s.alignment.values() for s in streams if s.alignment is not None}
+        moved = round(driven.largest_m, 3) if driven else 0.0
+        record = score.values() | {"aligned": aligned, "lanes_moved_m": moved}
+        text = json.dumps(record, indent=2)
+        (folder / "score.json").write_text(text + "\n", encoding="utf-8")
+        title = f"{score.vehicles} vehicles in {score.health.steps * step_s:.0f} s on {net.name}"
+        save_picture(folder / "twin.png", network, ways, title)
+        size = parse_image_size(image_size)
+        for stream, bag, points in zip(streams, bags, calibration, strict=True):
+            film = video if stream is streams[0] else None
+            if busiest.step is None:
+                break
+            try:
+                shown = save_side_by_side(
+                    folder, network, busiest.step, stream, bag, points, size, film
+                )
+            except GeoOrbitError as error:
+                shown = f"No picture side by side: {error}"
+            said.append(shown)
+    _print_score(score)
+    for sentence in said:
+        say(sentence)
+    console.print(f" Wrote {out}", soft_wrap=True)
+
+
+def align_streams(
+    streams: list[TrackStream], network: RoadNetwork
+) -> tuple[list[TrackStream], DrivenNetwork | None, list[str]]:
+    """The streams, laid on the network where they don't fit it, its lanes, and what was found.
+
+    The lanes are those of the network where they are driven, None where that is as it has them.
+
+    The lanes are learnt from the same tracks, as `geoorbit lanes` does it.
+    """
+    from dataclasses import replace
+
+    from geoorbit_ros.cli.console import track
+    from geoorbit_ros.core.errors import NoTrafficError
+    from geoorbit_ros.lanes.estimators.registry import make_estimator
+    from geoorbit_ros.lanes.mapping.mapper import LaneMapper
+    from geoorbit_ros.lanes.pipeline import map_lanes
+    from geoorbit_ros.mapcheck.driven_lanes import as_driven, merged
+    from geoorbit_ros.mapcheck.validation import in_frame, say_alignment, validate
+
+    found, said, seen_lanes = [], [], []
+    for stream in streams:
+        frames = list(stream.frames)
+        alignment = None
+        try:
+            lanes = map_lanes(
+                track(frames, "learning the lanes"), LaneMapper(make_estimator("curvilinear"))
+            )
+            seen = in_frame(lanes.lanes, stream.datum, network.datum)
+            check = validate(seen, network)
+        except NoTrafficError:
+            said.append(f"{stream.camera}: too little traffic to compare the lanes with the map.")
+        else:
+            seen_lanes.append(check.discrepancies.driven)
+            said.append(f"{stream.camera}: {say_alignment(check.alignment)}")
+            lanewise = sum(f.kind != "offset" for f in check.findings)
+            if lanewise:
+                said.append(
+                    f"{stream.camera}: the map differs from the lanes seen in {lanewise} places: "
+                    "geoorbit twin patch corrects it."
+                )
+            if check.alignment.significant:
+                alignment = check.alignment
+        found.append(replace(stream, frames=frames, alignment=alignment))
+    lanes_of = merged(seen_lanes)
+    driven = as_driven(network, lanes_of) if lanes_of else None
+    if driven is not None:
+        said.append(
+            f"Vehicles are counted to lanes where those are driven, up to {driven.largest_m:.2f} m "
+            "beside where the map has them."
+        )
+    return found, driven, said
+
+
+def open_streams(
+    bags: list[Path], calibrations: list[Path], image_size: str, datum: str | None
+) -> list[TrackStream]:
+    """Ground tracks of each bag by its calibration, the first under a progress bar.
+
+    Raises:
+        GeoOrbitError: A bag or a calibration can't be used, or not one calibration per bag.
+    """
+    from geoorbit_ros.calibration.box_projector import BoxProjector
+    from geoorbit_ros.calibration.control_points import read_control_points
+    from geoorbit_ros.calibration.homography import fit_homography
+    from geoorbit_ros.cli.console import status, track
+    from geoorbit_ros.cli.inputs import parse_datum, parse_image_size
+    from geoorbit_ros.core.errors import InputFileError, ParameterError
+    from geoorbit_ros.lanes.pipeline import project_frames
+    from geoorbit_ros.storage.track_bag import read_track_bag
+    from geoorbit_ros.twin.replay import TrackStream
+
+    if len(bags) != len(calibrations):
+        found = f"{len(calibrations)} for {len(bags)} bags"
+        raise ParameterError("option --calibration", found, "one per bag, in the same order")
+    size, origin = parse_image_size(image_size), parse_datum(datum)
+    streams: list[TrackStream] = []
+    for bag, file in zip(bags, calibrations, strict=True):
+        points = read_control_points(file, origin)
+        if points.datum is None:
+            expected = "--datum LAT,LON: where x_m = y_m = 0 is"
+            raise InputFileError(str(file), "control points in metres", expected)
+        with status(f"reading {bag}"):
+            content = read_track_bag(bag)
+        if any(content.camera_id == stream.camera for stream in streams):
+            found = f"a second bag of camera '{content.camera_id}'"
+            raise InputFileError(str(bag), found, "one bag per camera")
+        projector = BoxProjector(fit_homography(points), size)
+        frames = project_frames(content.frames, projector)
+        if not streams:
+            frames = track(frames, "driving the twin", total=len(content.frames))
+        streams.append(TrackStream(content.camera_id, frames, points.datum))
+    return streams
+
+
+def _check_traffic(score: ReplayScore, place: str) -> None:
+    from geoorbit_ros.core.errors import NoTrafficError
+
+    if not score.vehicles:
+        found = f"none of {score.tracks} tracks on its lanes"
+        raise NoTrafficError(place, found, "a network that covers what the camera sees")
+
+
+def _print_score(score: ReplayScore) -> None:
+    from geoorbit_ros.cli.console import console, make_table, say
+
+    health, events = score.health, score.events
+    table = make_table("The twin against the tracks", "|>95 %|>largest")
+    table.add_row(
+        "position m", f"{health.position_error_m_p95:.3f}", f"{health.position_error_m_max:.3f}"
+    )
+    table.add_row(
+        "heading °", f"{health.heading_error_deg_p95:.2f}", f"{health.heading_error_deg_max:.2f}"
+    )
+    console.print(table)
+    say(
+        f"{score.vehicles} vehicles from {score.tracks} tracks in {health.steps} steps: "
+        f"{health.vehicle_steps} times seen, {health.coasting_steps} times going on unseen."
+    )
+    say(
+        f"Lane as matched in {1.0 - health.lane_error_share:.2%}, beside every lane in "
+        f"{health.beside_share:.2%}; {health.lost} vehicles lost; {events.jumps} tracks jumped, "
+        f"{events.handovers} were taken over, {events.off_road} rows lay beside the network."
+    )
+    say(
+        f"A step took {health.step_ms_median:.1f} ms (99 %: {health.step_ms_p99:.1f} ms): "
+        f"{health.steps_per_s:.0f} steps per second."
+    )
+
+
+@app.command("routes")
+def routes(
+    bags: BagsArgument,
+    net: NetOption,
+    out: Annotated[Path, typer.Option("--out", help="Folder for the files; must not exist.")],
+    calibration: CalibrationsOption,
+    image_size: ImageSizeOption = "1920x1080",
+    datum: DatumOption = None,
+) -> None:
+    """Write the recorded traffic as SUMO's own demand: routes and vehicle types.
+
+    Every vehicle departs when, where, in which lane and how fast it was first seen, and keeps to
+    the speed limits as it was seen to. Into the folder go traffic.rou.xml, traffic.add.xml and
+    traffic.sumocfg: [bold]sumo -c traffic.sumocfg[/bold] runs them.
+
+    Example: [bold]geoorbit twin routes north_bag --net area/network.net.xml
+    --calibration north.csv --out demand[/bold]
+    """
+    from geoorbit_ros.cli.console import console, say
+    from geoorbit_ros.cli.units import count_of
+    from geoorbit_ros.core.errors import NoTrafficError
+    from geoorbit_ros.roadnet.network import load_network
+    from geoorbit_ros.storage.atomic import atomic_output
+    from geoorbit_ros.twin.replay import STEP_S, replay_tracks
+    from geoorbit_ros.twin.routes import RouteWriter
+    from geoorbit_ros.twin.simulation import SumoSimulation
+
+    with atomic_output(out) as folder:
+        streams = open_streams(bags, calibration, image_size, datum)
+        network = load_network(net, streams[0].datum)
+        writer = RouteWriter(network)
+        simulation = SumoSimulation(net, STEP_S)
+        try:
+            score = replay_tracks(network, simulation, streams, writer.add)
+        finally:
+            simulation.close()
+        _check_traffic(score, str(net))
+        folder.mkdir()
+        counts = writer.write(folder, str(net.absolute()))
+        if not counts.written:
+            found = f"{score.vehicles} vehicles, none seen for long enough to know its speed"
+            raise NoTrafficError(str(net), found, "a longer recording")
+    say(
+        f"{count_of(counts.written, 'vehicle')} in the routes; left out: {counts.too_short} seen "
+        f"for less than 20 m, {counts.no_way} on edges without a way between them."
+    )
+    console.print(f" Wrote {out}", soft_wrap=True)

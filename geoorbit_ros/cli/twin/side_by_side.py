@@ -1,0 +1,91 @@
+"""`side_by_side_<camera>.png` of `geoorbit twin replay`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from geoorbit_ros.roadnet.network import RoadNetwork
+    from geoorbit_ros.twin.placement import TwinStep
+    from geoorbit_ros.twin.replay import TrackStream
+
+
+class BusiestStep:
+    """Keeps the step in which cameras saw most vehicles."""
+
+    def __init__(self) -> None:
+        self.step: TwinStep | None = None
+        self._seen = 0
+
+    def add(self, step: TwinStep) -> None:
+        """Take one step."""
+        seen = int(np.count_nonzero(step.observed))
+        if seen > self._seen:
+            self.step, self._seen = step, seen
+
+
+def save_side_by_side(
+    folder: Path,
+    network: RoadNetwork,
+    step: TwinStep,
+    stream: TrackStream,
+    bag: Path,
+    calibration: Path,
+    image_size: tuple[int, int],
+    video: Path | None,
+) -> str:
+    """Write one camera's picture; what it shows, in one sentence.
+
+    Args:
+        folder: Where it goes.
+        network: The roads.
+        step: The moment.
+        stream: The camera's tracks.
+        bag: Its boxes.
+        calibration: Its control points.
+        image_size: Width and height of its images.
+        video: Its film, which begins with the bag; None shows the boxes alone.
+
+    Raises:
+        GeoOrbitError: The calibration leaves the camera's height open, or a file can't be read.
+    """
+    import cv2
+
+    from geoorbit_ros.calibration.control_points import read_control_points
+    from geoorbit_ros.calibration.homography import fit_homography
+    from geoorbit_ros.storage.track_bag import read_track_bag
+    from geoorbit_ros.twin.placement import track_rows
+    from geoorbit_ros.twin.side_by_side import boxes_of, side_by_side
+    from geoorbit_ros.twin.twin_camera import TwinCamera
+
+    homography = fit_homography(read_control_points(calibration, stream.datum))
+    camera = TwinCamera(homography, image_size, network.path, stream.datum)
+    frames = read_track_bag(bag).frames
+    stamps = frames.stamp_ns
+    k = int(np.argmin(np.abs(stamps - step.stamp_ns)))
+    rendered, twin = camera.render(track_rows(step), network.datum, stream.alignment)
+    seen = boxes_of(frames.frame(k), camera.scale)
+    image = None if video is None else _image_at(video, int(stamps[k] - stamps[0]))
+    picture, difference = side_by_side(image, seen, rendered, twin, camera.scale)
+    cv2.imwrite(str(folder / f"side_by_side_{stream.camera}.png"), picture)
+    after_s = (step.stamp_ns - int(stamps[0])) / 1e9
+    return f"{stream.camera} after {after_s:.1f} s, boxes seen and rendered: {difference.words}."
+
+
+def _image_at(video: Path, after_ns: int) -> NDArray[np.uint8] | None:
+    """The first image of a film that is not earlier than `after_ns` from its beginning."""
+    from geoorbit_ros.storage.frames.open_source import open_frame_source
+
+    begin_ns: int | None = None
+    latest: NDArray[np.uint8] | None = None
+    with open_frame_source(str(video)) as source:
+        for stamp_ns, image in source:
+            begin_ns = stamp_ns if begin_ns is None else begin_ns
+            latest = image
+            if stamp_ns - begin_ns >= after_ns - 1_000_000:
+                break
+    return latest

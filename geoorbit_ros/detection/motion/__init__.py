@@ -1,0 +1,1 @@
+"""Moving vehicles in front of the empty road, for fixed cameras; no model file."""

@@ -1,0 +1,1 @@
+"""YOLO models in ONNX files, run by onnxruntime."""

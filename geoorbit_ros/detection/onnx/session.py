@@ -1,0 +1,128 @@
+"""An ONNX file in onnxruntime, checked: one image in, whatever it writes out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+from numpy.typing import NDArray
+
+from geoorbit_ros.core.errors import ParameterError
+from geoorbit_ros.detection.detector import ModelError
+from geoorbit_ros.detection.onnx.metadata import OnnxMetadata, parse_metadata
+
+_PREFERRED = (
+    "CUDAExecutionProvider",
+    "ROCMExecutionProvider",
+    "OpenVINOExecutionProvider",
+    "CoreMLExecutionProvider",
+    "CPUExecutionProvider",
+)
+"""Without a wish: of these, all that this onnxruntime has. TensorRT only on request: it compiles
+for minutes first."""
+_FLOATS: dict[str, type[np.floating]] = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
+_DEFAULT_SIDE = 640
+_ERRORS_ONLY = 3
+
+
+@dataclass(frozen=True, slots=True)
+class OnnxSession:
+    """A loaded model.
+
+    Attributes:
+        place: Its file, for errors.
+        session: The onnxruntime session.
+        input_name: Of its only input.
+        metadata: What the file says about itself.
+        canvas: Width and height of its input, at most where `metadata.dynamic`.
+        batch: Images per run; 0 when any number is taken.
+        dtype: Type of its input.
+    """
+
+    place: str
+    session: onnxruntime.InferenceSession
+    input_name: str
+    metadata: OnnxMetadata
+    canvas: tuple[int, int]
+    batch: int
+    dtype: type[np.floating]
+
+    def run(self, tensor: NDArray[np.floating]) -> list[NDArray[np.float32]]:
+        """All outputs as float32 for a tensor (B, 3, H, W) of `dtype`.
+
+        Raises:
+            ModelError: The model fails on it.
+        """
+        try:
+            outputs = self.session.run(None, {self.input_name: tensor})
+        except Exception as error:  # onnxruntime's classes share no other base
+            found = f"a failure on an input of {'x'.join(map(str, tensor.shape))}: {_first(error)}"
+            raise ModelError(self.place, found, "a model that runs on its own input") from None
+        return [_float32(output) for output in outputs]
+
+
+def load_session(path: Path, providers: Sequence[str] = (), threads: int = 0) -> OnnxSession:
+    """Load a model file.
+
+    Args:
+        path: An `.onnx` file.
+        providers: onnxruntime's execution providers, best first; none takes the best there is.
+        threads: Threads within one operator on the CPU; 0 leaves it to onnxruntime.
+
+    Raises:
+        ModelError: No such file, one that onnxruntime can't load, or an input that is no image.
+        ParameterError: A provider that this onnxruntime lacks.
+    """
+    place = str(path)
+    if not path.is_file():
+        raise ModelError(place, "no such file", "an ONNX model (yolo export format=onnx)")
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = _ERRORS_ONLY
+    options.intra_op_num_threads = threads
+    # Threads that spin between frames take the cores that other nodes need.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    try:
+        session = onnxruntime.InferenceSession(
+            place, options, providers=_usable(providers, "providers")
+        )
+    except ParameterError:
+        raise
+    except Exception as error:  # onnxruntime's classes share no other base
+        found = f"{path.stat().st_size} bytes that onnxruntime can't load ({_first(error)})"
+        raise ModelError(place, found, "a whole ONNX model (yolo export format=onnx)") from None
+    metadata = parse_metadata(session.get_modelmeta().custom_metadata_map, place)
+    inputs = session.get_inputs()
+    shape = list(inputs[0].shape) if inputs else []
+    kind = inputs[0].type if inputs else ""
+    sound = len(inputs) == 1 and len(shape) == 4 and kind in _FLOATS
+    if not sound or (isinstance(shape[1], int) and shape[1] != 3):
+        each = " and ".join(f"{'x'.join(map(str, i.shape))} {i.type}" for i in inputs)
+        raise ModelError(place, f"input {each or 'of nothing'}", "one input Bx3xHxW of floats")
+    said = metadata.canvas or (_DEFAULT_SIDE, _DEFAULT_SIDE)
+    height, width = (n if isinstance(n, int) else said[1 - k] for k, n in enumerate(shape[2:]))
+    batch = shape[0] if isinstance(shape[0], int) else 0
+    name = inputs[0].name
+    return OnnxSession(place, session, name, metadata, (width, height), batch, _FLOATS[kind])
+
+
+def _usable(wanted: Sequence[str], place: str) -> list[str]:
+    available = onnxruntime.get_available_providers()
+    missing = [name for name in wanted if name not in available]
+    if missing:
+        raise ParameterError(place, ", ".join(missing), f"of {', '.join(available)}")
+    return list(wanted) or [name for name in _PREFERRED if name in available]
+
+
+def _float32(output: object) -> NDArray[np.float32]:
+    """Half precision becomes float32; anything but an array of floats stays, to be refused."""
+    array = np.asarray(output)
+    return array.astype(np.float32, copy=False) if array.dtype.kind == "f" else array
+
+
+def _first(error: Exception) -> str:
+    """The first line of onnxruntime's message, without its code."""
+    line = str(error).strip().partition("\n")[0]
+    return line.rpartition(" : ")[2][:160] if " : " in line else line[:160]

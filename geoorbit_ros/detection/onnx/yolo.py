@@ -1,0 +1,158 @@
+"""YOLO models in ONNX files, of any of the layouts that exporters write."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.detection.detector import as_bgr, detection_rows
+from geoorbit_ros.detection.onnx.layouts import Candidates, GridLayout, choose_layout
+from geoorbit_ros.detection.onnx.model_input import GREY, Letterbox, ModelInput, centred, cornered
+from geoorbit_ros.detection.onnx.session import load_session
+from geoorbit_ros.detection.vehicle_classes import vehicle_classes
+
+MAX_CANDIDATES = 30000
+"""More boxes than this before suppression: the best of them, as the common predictors do."""
+
+
+def suppress(
+    boxes: NDArray[np.floating],
+    score: NDArray[np.floating],
+    group: NDArray[np.integer],
+    max_iou: float,
+) -> NDArray[np.int64]:
+    """Indices of the boxes that stay, highest score first.
+
+    Args:
+        boxes: (N, 4) left, top, right, bottom.
+        score: (N,).
+        group: (N,) boxes of different groups never suppress each other.
+        max_iou: Intersection over union above which the lesser box goes.
+    """
+    if not len(boxes):
+        return np.empty(0, dtype=np.int64)
+    best = np.argsort(-score, kind="stable")[:MAX_CANDIDATES]
+    edges = np.column_stack([boxes[best, :2], boxes[best, 2:] - boxes[best, :2]])
+    # Its annotations ask for lists; arrays work, without an object per number.
+    arrays: tuple[Any, Any, Any] = (
+        edges.astype(np.float64),
+        score[best].astype(np.float32),
+        group[best].astype(np.int32),
+    )
+    kept = cv2.dnn.NMSBoxesBatched(*arrays, -1.0, max_iou)
+    return np.asarray(best[np.asarray(kept, dtype=np.int64).ravel()])
+
+
+MAX_DETECTIONS = 300
+"""Per image, as the exporters' own predictors."""
+
+
+@dataclass(frozen=True, slots=True)
+class YoloOptions:
+    """How a model is run.
+
+    Attributes:
+        min_score: Boxes that score less are dropped.
+        max_iou: Of two boxes of one class that overlap more than this, the lesser goes.
+        any_class: Whether boxes of different classes suppress each other too.
+        class_names: Names of the model's classes; empty takes those in the file.
+        providers: onnxruntime's execution providers, best first; empty takes the best there is.
+        threads: Threads within one operator on the CPU; 0 leaves it to onnxruntime.
+    """
+
+    min_score: float = 0.25
+    max_iou: float = 0.7
+    any_class: bool = False
+    class_names: tuple[str, ...] = ()
+    providers: tuple[str, ...] = ()
+    threads: int = 0
+
+
+class OnnxYolo:
+    """A YOLO model that finds vehicles.
+
+    Preprocessing follows the predictor of the family that writes the layout: YOLOX wants BGR from 0
+    to 255 in the top left corner, the others RGB from 0 to 1 in the middle.
+
+    Args:
+        path: An `.onnx` file.
+        options: How it is run.
+
+    Raises:
+        ModelError: A file for another task, damaged, of other shapes, or without vehicles.
+        ParameterError: An execution provider that is not there.
+    """
+
+    def __init__(self, path: Path, options: YoloOptions | None = None) -> None:
+        self.options = options or YoloOptions()
+        self._model = load_session(path, self.options.providers, self.options.threads)
+        place, canvas = self._model.place, self._model.canvas
+        # The first run also shows the shapes that a dynamic export leaves open, and warms up.
+        grey = np.full((1, 3, canvas[1], canvas[0]), GREY / 255.0, dtype=self._model.dtype)
+        outputs = self._model.run(grey.repeat(self._model.batch or 1, axis=0))
+        given: Mapping[int, str] = dict(enumerate(self.options.class_names))
+        self._layout, self.names, count = choose_layout(
+            outputs, canvas, self._model.metadata, given, place
+        )
+        self._coco = vehicle_classes(self.names, count, place)
+        self._wanted = np.flatnonzero(self._coco >= 0)
+        self._yolox = isinstance(self._layout, GridLayout)
+        scale = 1.0 if self._yolox else 1.0 / 255.0
+        self._input = ModelInput(
+            self._model.dtype, self._model.batch, scale=scale, swap=not self._yolox
+        )
+
+    @property
+    def name(self) -> str:
+        """File, layout and input size."""
+        width, height = self._model.canvas
+        return f"{Path(self._model.place).name} ({self._layout.name}, {width}x{height})"
+
+    def prime(self, images: Iterable[tuple[int, NDArray[np.generic]]]) -> None:
+        """See `Detector`: a model has learnt before."""
+
+    def detect(self, stamp_ns: int, image: NDArray[np.generic]) -> NDArray[np.void]:
+        """See `Detector`; the stamp is not used."""
+        return self.detect_batch([image])[0]
+
+    def detect_batch(self, images: Sequence[NDArray[np.generic]]) -> list[NDArray[np.void]]:
+        """Vehicles in each of several images, in one run where the model and the sizes allow it.
+
+        Raises:
+            ImageError: An image that `Detector.detect` would refuse.
+            ModelError: The model fails.
+        """
+        pixels = [as_bgr(image) for image in images]
+        boxes = [self._letterbox((each.shape[1], each.shape[0])) for each in pixels]
+        same = len({box.canvas_size for box in boxes}) == 1
+        most = (self._model.batch or len(boxes)) if same else 1
+        rows: list[NDArray[np.void]] = []
+        for start in range(0, len(boxes), max(most, 1)):
+            part = slice(start, start + max(most, 1))
+            (outputs,) = self._model.run(self._input.filled(boxes[part], pixels[part]))
+            rows += map(self._read, boxes[part], outputs)
+        return rows
+
+    def _letterbox(self, size: tuple[int, int]) -> Letterbox:
+        canvas, metadata = self._model.canvas, self._model.metadata
+        if self._yolox:
+            return cornered(size, canvas)
+        return centred(size, canvas, metadata.stride if metadata.dynamic else 0)
+
+    def _read(self, box: Letterbox, output: NDArray[np.float32]) -> NDArray[np.void]:
+        options = self.options
+        found = self._layout.candidates(output, box.canvas_size, self._wanted, options.min_score)
+        finite = np.isfinite(found.boxes).all(axis=1)
+        found = Candidates(found.boxes[finite], found.score[finite], found.model_class[finite])
+        if not self._layout.suppressed:
+            group = np.zeros_like(found.model_class) if options.any_class else found.model_class
+            kept = suppress(found.boxes, found.score, group, options.max_iou)[:MAX_DETECTIONS]
+            found = Candidates(found.boxes[kept], found.score[kept], found.model_class[kept])
+        classes = self._coco[found.model_class]
+        return detection_rows(box.to_image(found.boxes), found.score, classes, box.image_size)

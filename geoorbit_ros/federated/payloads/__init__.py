@@ -1,0 +1,1 @@
+"""What is sent: each payload's fields, checks and bytes."""

@@ -1,0 +1,111 @@
+"""Payload `GlobalModel`: the whole model at the start of a round."""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from geoorbit_ros.federated.errors import PayloadError, Refusal
+from geoorbit_ros.federated.payloads.cdr import CdrReader, CdrWriter
+from geoorbit_ros.federated.payloads.envelope import SIGNATURE_BYTES, check_prefix
+from geoorbit_ros.federated.payloads.model_layout import ModelLayout
+
+SCHEMA, VERSION = "model", 3
+FINAL, MASKED, ASYNCHRONOUS, JUDGING = 1, 2, 4, 8
+
+
+@dataclass(frozen=True, slots=True)
+class GlobalModel:
+    """See msg_defs/GlobalModel.msg, whose fields these are."""
+
+    encoding: int
+    flags: int
+    run: int
+    round: int
+    model: int
+    interface: int
+    approved: int
+    judges: int
+    proximal_mu: float
+    clients: tuple[int, ...]
+    layout: ModelLayout
+    data: bytes
+
+    def unsigned(self) -> bytes:
+        """The serialisation up to the signature, which is to be appended."""
+        writer = CdrWriter()
+        writer.text(SCHEMA)
+        writer.number("H", VERSION)
+        writer.number("B", self.encoding)
+        writer.number("B", self.flags)
+        numbers = (self.run, self.round, self.model, self.interface, self.approved, self.judges)
+        for number in numbers:
+            writer.number("I", number)
+        writer.number("f", self.proximal_mu)
+        writer.numbers("I", self.clients)
+        writer.texts(self.layout.names)
+        writer.numbers("I", [len(shape) for shape in self.layout.shapes])
+        writer.numbers("I", [extent for shape in self.layout.shapes for extent in shape])
+        writer.data(self.data)
+        return writer.payload()
+
+    @classmethod
+    def decode(cls, payload: bytes) -> GlobalModel:
+        """Read a payload; its data and signature are not looked at yet.
+
+        Raises:
+            PayloadError: TOO_LONG, TRUNCATED, FOREIGN, VERSION, MALFORMED, SHAPE or NOT_FINITE.
+        """
+        check_prefix(payload, SCHEMA, VERSION)
+        reader = CdrReader(payload, SCHEMA)
+        reader.text()
+        reader.number("H")
+        encoding, flags = reader.whole("B"), reader.whole("B")
+        run, number, model, interface, approved, judges = (reader.whole("I") for _ in range(6))
+        proximal_mu = reader.number("f")
+        if not (math.isfinite(proximal_mu) and proximal_mu >= 0):
+            found = f"proximal_mu {proximal_mu}"
+            raise PayloadError(Refusal.NOT_FINITE, SCHEMA, found, "a number from 0")
+        clients = tuple(reader.numbers("I").tolist())
+        layout = _layout(reader)
+        data = reader.data()
+        reader.fixed(SIGNATURE_BYTES)
+        reader.end()
+        return cls(
+            encoding,
+            flags,
+            run,
+            number,
+            model,
+            interface,
+            approved,
+            judges,
+            proximal_mu,
+            clients,
+            layout,
+            data,
+        )
+
+
+def _layout(reader: CdrReader) -> ModelLayout:
+    names = reader.texts()
+    ranks = reader.numbers("I").tolist()
+    extents = reader.numbers("I").tolist()
+    if sum(ranks) != len(extents):
+        found = f"{len(extents)} dimensions"
+        raise PayloadError(Refusal.SHAPE, SCHEMA, found, f"{sum(ranks)}, the sum of the ranks")
+    shapes, at = [], 0
+    for rank in ranks:
+        shapes.append(tuple(extents[at : at + rank]))
+        at += rank
+    return ModelLayout(tuple(names), tuple(shapes))
+
+
+def interface_digest(inputs: Sequence[str], outputs: Sequence[str]) -> int:
+    """A number for the names of a model's inputs and outputs, in order.
+
+    Two sides with other features would multiply weights with what they were not made for.
+    """
+    return zlib.crc32("|".join([",".join(inputs), ",".join(outputs)]).encode())

@@ -1,0 +1,1 @@
+"""What hides a single client's update: secure aggregation and differential privacy."""

@@ -1,0 +1,375 @@
+"""The federated server as a plain state machine over bytes and time."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.federated.errors import FederationError, PayloadError, Refusal
+from geoorbit_ros.federated.keys import Roster, Signer
+from geoorbit_ros.federated.payloads.client_update import ClientUpdate
+from geoorbit_ros.federated.payloads.global_model import ASYNCHRONOUS, FINAL, JUDGING, MASKED
+from geoorbit_ros.federated.payloads.model_layout import ModelLayout, Tensors, Vector
+from geoorbit_ros.federated.privacy.differential import clipped, normal_noise
+from geoorbit_ros.federated.privacy.masked_rounds import STAGE_S, MaskedRound
+from geoorbit_ros.federated.rounds.admission import Admission
+from geoorbit_ros.federated.rounds.announcer import Announcer
+from geoorbit_ros.federated.rounds.open_round import OpenRound, Outcome
+from geoorbit_ros.federated.rounds.selection import make_selection
+from geoorbit_ros.federated.rounds.server_config import ServerConfig, check_settings
+from geoorbit_ros.federated.rounds.server_state import (
+    Ledger,
+    RoundRecord,
+    ServerState,
+    read_checkpoint,
+    write_checkpoint,
+)
+from geoorbit_ros.federated.rounds.verdict import NOBODY_ASKED, Verdict, is_judge, is_teacher
+from geoorbit_ros.federated.strategies.fedavg import FedAvg
+from geoorbit_ros.federated.strategies.strategy import Strategy
+
+
+class FederatedServer:
+    """Runs rounds: announces a model, takes updates, makes the next model of them.
+
+    It does nothing by itself: whoever drives it (a node, the command line, a test) hands in what
+    arrived and what time it is, and sends what comes out to all clients. Each method returns at
+    most one payload. All that a round's result depends on is in its checkpoint, which is written
+    before the result is announced: killed at any moment and started again, the server announces
+    the open round once more, clients send their updates once more, and the result is the same.
+
+    Judges say of each round's model whether it serves them better than the defaults (`verdict`);
+    the next announcement carries the verdict. After the last round they judge the final model.
+
+    Usage::
+
+        server = FederatedServer(config, tensors, roster, make_strategy("fedavg"))
+        payload = server.start(now_s)            # send it to all clients
+        while not server.finished:
+            payload = server.receive(update, now_s)  # each update; not None: send it to all
+            payload = server.tick(now_s)             # now and then; not None: send it to all
+        server.tensors                           # the trained model
+
+    Args:
+        config: Settings.
+        tensors: The first model by tensor; a checkpoint goes before it, but must fit it.
+        roster: The cameras that may take part.
+        strategy: Makes a model of updates; default: FedAvg.
+        signer: Signs what is sent; default: unsigned.
+        checkpoint: File to resume from and to write after each round; default: none.
+
+    Attributes:
+        asynchronous: Whether updates to earlier models are taken, too.
+        accepted: Updates taken since the start.
+        refused: Updates refused since the start, by reason.
+
+    Raises:
+        FederationError: A checkpoint that is none or of another model, or settings that exclude
+            each other.
+    """
+
+    def __init__(
+        self,
+        config: ServerConfig,
+        tensors: Mapping[str, NDArray[np.float32]],
+        roster: Roster,
+        strategy: Strategy | None = None,
+        signer: Signer | None = None,
+        checkpoint: Path | None = None,
+    ) -> None:
+        self.config, self.layout = config, ModelLayout.of(tensors)
+        self._members = tuple(roster)
+        self._teachers = tuple(m for m in self._members if is_teacher(m, config.judges))
+        self._judges = tuple(m for m in self._members if is_judge(m, config.judges))
+        self._strategy = strategy or FedAvg()
+        self.asynchronous = self._strategy.buffer_size > 0
+        self._selection = make_selection(config.selection, config.seed)
+        self._admission = Admission(
+            config, roster, self.layout.size, asynchronous=self.asynchronous
+        )
+        self._announcer = Announcer(
+            config,
+            self.layout,
+            signer or Signer(None, config.federation),
+            self._strategy.proximal_mu,
+        )
+        counts = (len(m) for m in (self._members, self._teachers, self._judges))
+        check_settings(config, self._strategy, *counts)
+        self._checkpoint = checkpoint
+        first = self.layout.flatten(tensors)
+        ledger = Ledger(self._members)
+        saved = read_checkpoint(checkpoint, self.layout, ledger) if checkpoint else None
+        self.resumed = saved is not None
+        self._state = saved or ServerState(config.run, first, first, ledger)
+        self._strategy.restore(self._state.optimiser)
+        self.accepted = 0
+        self.refused: Counter[Refusal] = Counter()
+        self._selected: frozenset[int] = frozenset()
+        self._wanted = len(self._teachers)
+        self._opened_s = self._deadline_s = 0.0
+        self._round = self._new_round()
+        self._masked: MaskedRound | None = None
+
+    @property
+    def tensors(self) -> Tensors:
+        """The model as it stands."""
+        return self.layout.unflatten(self._state.model)
+
+    @property
+    def published(self) -> Tensors:
+        """The model as the clients have it; differs from `tensors` by what encodings lose."""
+        return self.layout.unflatten(self._state.published)
+
+    @property
+    def round(self) -> int:
+        """The open round, from 1."""
+        return self._state.round
+
+    @property
+    def run(self) -> int:
+        """When the federation began."""
+        return self._state.run
+
+    @property
+    def finished(self) -> bool:
+        """Whether training is over, and its model judged."""
+        return self._state.finished
+
+    @property
+    def history(self) -> tuple[RoundRecord, ...]:
+        """What came of the rounds so far."""
+        return tuple(self._state.history)
+
+    @property
+    def verdict(self) -> Verdict:
+        """What judges said of the last model that they judged."""
+        last = next((r for r in reversed(self._state.history) if r.judges), None)
+        if last is None:
+            return NOBODY_ASKED if not self._judges else Verdict(False, math.nan, math.nan, 0)
+        return Verdict(last.approved, last.gain, last.gain_error, last.judges)
+
+    @property
+    def selected(self) -> frozenset[int]:
+        """Clients of the open round; empty: all."""
+        return self._selected
+
+    @property
+    def collected(self) -> int:
+        """Updates of the open round so far; under masks, clients heard at its open step."""
+        return self._masked.number if self._masked else self._round.number
+
+    @property
+    def judged(self) -> int:
+        """Clients that only judge heard so far in the open round; under masks none can be told."""
+        return self._round.heard
+
+    @property
+    def latched(self) -> tuple[bytes, ...]:
+        """What to send, oldest first, to a client that joins now."""
+        return tuple(self._announcer.latched)
+
+    def start(self, now_s: float) -> bytes:
+        """Announce the first round, or after a restart the one that was open.
+
+        Args:
+            now_s: Any clock that does not go backwards, in seconds.
+
+        Returns:
+            The payload for all clients.
+        """
+        if not self.resumed:
+            self._announcer.advance(self._state)
+            self._save()
+        announce = self._announcer.repeat if self.resumed else self._announcer.announce
+        return announce(self._state, self._open(now_s), self._flags)
+
+    def receive(self, payload: bytes, now_s: float) -> bytes | None:
+        """Take an update, or with secure aggregation a step of one.
+
+        Returns:
+            The next payload for all clients, when this one ends the round or the step.
+
+        Raises:
+            PayloadError: It was refused; the server goes on as if it had never come.
+        """
+        try:
+            if self._masked is not None:
+                return self._receive_masked(self._masked, payload, now_s)
+            update, vector = self._admission.admit(payload, self._state, self._selected)
+        except PayloadError as error:
+            self.refused[error.reason] += 1
+            raise
+        self._take(update, vector)
+        self.accepted += 1
+        return self._close(self._round.outcome(), now_s) if self._complete else None
+
+    def tick(self, now_s: float) -> bytes | None:
+        """Look at the time.
+
+        Returns:
+            The next payload for all clients, when a deadline has passed: that of the next round or
+            step if there is a quorum, else this round's again, now open to all.
+        """
+        waits_for_time = not self.finished and (self._state.trained or not self.asynchronous)
+        if not waits_for_time or now_s < self._deadline_s:
+            return None
+        if self._masked is not None:
+            return self._advance_masked(self._masked, now_s)
+        heard = self.judged if self._state.trained else self.collected
+        if heard >= self._quorum():
+            return self._close(self._round.outcome(), now_s)
+        return self._again(now_s)
+
+    def _take(self, update: ClientUpdate, vector: Vector | None) -> None:
+        """Add an update that was admitted, or a judgement, to the open round."""
+        ledger = self._state.ledger
+        if vector is None:
+            self._round.judge(update)
+            ledger.note(update.client, update.round)
+            return
+        if self.config.noise_multiplier:
+            weight, vector = 1.0, clipped(vector, self.config.clip_norm)
+        else:
+            weight = self._strategy.weight(update.sample_count, self.round - update.round)
+        self._round.add(update, vector, weight)
+        if update.round == self.round and is_judge(update.client, self.config.judges):
+            self._round.ballot.add(update.gain)
+        ledger.note(update.client, update.round, abs(update.loss) * math.sqrt(update.sample_count))
+
+    @property
+    def _complete(self) -> bool:
+        """Whether everybody was heard who is waited for."""
+        if self._state.trained:
+            return self.judged >= len(self._judges)
+        apart = len(self._judges) if self.config.judges > 1 and not self.asynchronous else 0
+        return self.collected >= self._wanted and self.judged >= apart
+
+    def _new_round(self) -> OpenRound:
+        return OpenRound(self._strategy.collection(self.layout.size), self.layout.size)
+
+    def _open(self, now_s: float) -> tuple[int, ...]:
+        """Begin to collect for the open round; its clients, none for all."""
+        number = self.config.clients_per_round
+        chosen: tuple[int, ...] = ()
+        free = self.asynchronous or self._state.trained
+        if 0 < number < len(self._teachers) and not free:
+            utility = self._state.ledger.of(self._teachers)
+            chosen = self._selection.choose(self._teachers, number, self.round, utility)
+        self._selected = frozenset(chosen)
+        # Stays when the round is opened to all: then anybody may stand in for the silent ones.
+        self._wanted = self._strategy.buffer_size or len(chosen) or len(self._teachers)
+        self._round = self._new_round()
+        self._opened_s = now_s
+        self._wait(now_s, chosen)
+        return chosen
+
+    def _wait(self, now_s: float, clients: tuple[int, ...]) -> None:
+        """Set the deadline; under masks also begin an attempt, waiting for these clients' keys."""
+        self._deadline_s = now_s + self.config.deadline_s
+        if not self.config.secure_aggregation or self.finished:
+            self._masked = None
+            return
+        apart = self._judges if self.config.judges > 1 else ()
+        expected = {*clients, *apart} if clients else self._members
+        self._masked = MaskedRound(
+            self._judges if self._state.trained else expected,
+            self._quorum(),
+            self.round,
+            self._state.digests[self.round],
+            self.layout.size,
+            self.config.masked_range,
+        )
+
+    def _again(self, now_s: float) -> bytes:
+        """Announce the open round once more, to all."""
+        self._selected = frozenset()
+        self._wait(now_s, ())
+        return self._announcer.repeat(self._state, (), self._flags)
+
+    def _quorum(self) -> int:
+        wanted = len(self._judges) if self._state.trained else self._wanted
+        return max(1, math.ceil(self.config.quorum * wanted))
+
+    def _receive_masked(self, masked: MaskedRound, payload: bytes, now_s: float) -> bytes | None:
+        message = self._admission.admit_masked(payload, self._state, self._selected)
+        masked.coordinator.take(message)
+        self.accepted += 1
+        return self._advance_masked(masked, now_s) if masked.coordinator.complete else None
+
+    def _advance_masked(self, masked: MaskedRound, now_s: float) -> bytes:
+        """End a step: the next one, the next round, or this round again where it failed."""
+        if not masked.enough:
+            return self._again(now_s)
+        message = masked.advance()
+        if message is not None:
+            self._deadline_s = now_s + min(self.config.deadline_s, STAGE_S)
+            return self._announcer.seal(message.unsigned())
+        try:
+            outcome = masked.outcome()
+        except FederationError:  # a client lied about its shares: without this attempt, then
+            return self._again(now_s)
+        if outcome.teachers == 0 and not self._state.trained:
+            return self._again(now_s)
+        return self._close(outcome, now_s)
+
+    def _close(self, outcome: Outcome, now_s: float) -> bytes:
+        """Note the verdict, make the next model, keep it, announce it."""
+        state = self._state
+        self._record(outcome, now_s)
+        if state.trained:
+            state.finished = True
+            self._save()
+            self._open(now_s)
+            return self._announcer.again(state, self._flags)
+        self._advance(outcome)
+        self._save()
+        return self._announcer.announce(state, self._open(now_s), self._flags)
+
+    def _record(self, outcome: Outcome, now_s: float) -> None:
+        """Keep what came of the round; without two judges the last verdict stands."""
+        state, seconds = self._state, now_s - self._opened_s
+        record = RoundRecord(state.round, outcome.teachers, outcome.loss, seconds)
+        verdict = outcome.ballot.verdict()
+        if verdict is not None:
+            state.approved = state.digests[state.round] if verdict.accepted else 0
+            record = replace(
+                record,
+                judges=verdict.judges,
+                gain=verdict.gain,
+                gain_error=verdict.error,
+                approved=verdict.accepted,
+            )
+        state.history.append(record)
+
+    def _advance(self, outcome: Outcome) -> None:
+        """Make the next model."""
+        state, config, aggregate = self._state, self.config, outcome.aggregate
+        if config.noise_multiplier:
+            noise = normal_noise(state.secret, state.round, self.layout.size)
+            spread = config.noise_multiplier * config.clip_norm / outcome.teachers
+            aggregate = aggregate + spread * noise
+        change = self._strategy.step(aggregate)
+        state.model = (state.model + change).astype(np.float32)
+        state.optimiser = self._strategy.state()
+        state.round += 1
+        state.trained = state.round > config.rounds or outcome.loss <= config.target_loss
+        state.finished = state.trained and not self._judges
+        self._announcer.advance(state)
+        oldest = state.round - config.max_staleness - 1
+        state.digests = {n: digest for n, digest in state.digests.items() if n >= oldest}
+
+    def _save(self) -> None:
+        if self._checkpoint is not None:
+            write_checkpoint(self._checkpoint, self.layout, self._state)
+
+    @property
+    def _flags(self) -> int:
+        final = FINAL if self.finished else JUDGING if self._state.trained else 0
+        masked = MASKED if self.config.secure_aggregation else 0
+        return final | masked | (ASYNCHRONOUS if self.asynchronous else 0)

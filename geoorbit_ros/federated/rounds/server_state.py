@@ -1,0 +1,227 @@
+"""What a server must not forget, and its checkpoint: one file, replaced as a whole."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import zipfile
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.core.errors import GeoOrbitError
+from geoorbit_ros.federated.errors import FederationError
+from geoorbit_ros.federated.payloads.model_layout import ModelLayout, Vector
+from geoorbit_ros.storage.atomic import atomic_output
+
+
+class Ledger:
+    """One row per member of the roster.
+
+    Args:
+        members: Their numbers, ascending.
+
+    Attributes:
+        members: As given.
+        answered: (M,) last round that each one's update was taken for, 0: none.
+        utility: (M,) usefulness of that update (`Selection.choose`); NaN: none yet.
+    """
+
+    def __init__(self, members: Sequence[int]) -> None:
+        self.members = tuple(members)
+        self._row = {member: row for row, member in enumerate(self.members)}
+        self.answered: NDArray[np.int64] = np.zeros(len(self.members), np.int64)
+        self.utility: NDArray[np.float64] = np.full(len(self.members), np.nan)
+
+    def last(self, member: int) -> int:
+        """Last round that the member's update was taken for."""
+        return int(self.answered[self._row[member]])
+
+    def of(self, members: Sequence[int]) -> NDArray[np.float64]:
+        """Utility of these members, in their order."""
+        return self.utility[[self._row[member] for member in members]]
+
+    def note(self, member: int, round_number: int, utility: float = float("nan")) -> None:
+        """An update was taken."""
+        row = self._row[member]
+        self.answered[row] = round_number
+        self.utility[row] = utility
+
+    def take_over(
+        self, members: Iterable[int], answered: Iterable[int], utility: Iterable[float]
+    ) -> None:
+        """Take rows from a checkpoint; members who left the roster meanwhile are dropped."""
+        for member, number, value in zip(members, answered, utility, strict=True):
+            if member in self._row:
+                self.note(member, int(number), float(value))
+
+
+FORMAT = 2
+_UNREADABLE = (
+    OSError,
+    EOFError,
+    ValueError,
+    KeyError,
+    TypeError,
+    zipfile.BadZipFile,
+    GeoOrbitError,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class RoundRecord:
+    """What came of a round.
+
+    Attributes:
+        round: Its number, from 1.
+        updates: Updates behind its result.
+        loss: Mean loss that they report, weighted as the updates are.
+        seconds: From its announcement to its end; not a number when the server was restarted
+            meanwhile.
+        judges: How many judged the model that it started from.
+        gain: Their mean gain (`verdict.Verdict`); NaN with fewer than two.
+        gain_error: Its standard error.
+        approved: Whether they approved of it.
+    """
+
+    round: int
+    updates: int
+    loss: float
+    seconds: float
+    judges: int = 0
+    gain: float = float("nan")
+    gain_error: float = float("nan")
+    approved: bool = False
+
+
+@dataclass(slots=True)
+class ServerState:
+    """All that the next round depends on.
+
+    Attributes:
+        run: When the federation began.
+        round: The open round; one more than the last when training is over.
+        trained: Whether training is over; the last model may still have to be judged.
+        finished: Whether everything is over.
+        approved: Digest of the newest model that judges approved of; 0: none.
+        model: The model as the server has it, shape (size,).
+        published: The model as the clients have it: they differ by what encodings lose.
+        optimiser: State of the strategy.
+        ledger: Who has answered which round.
+        digests: Digest of each model that an update may still name, by round.
+        history: Records of all rounds so far.
+        secret: 32 bytes for noise that nobody may foresee.
+    """
+
+    run: int
+    model: Vector
+    published: Vector
+    ledger: Ledger
+    round: int = 1
+    trained: bool = False
+    finished: bool = False
+    approved: int = 0
+    optimiser: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    digests: dict[int, int] = field(default_factory=dict)
+    history: list[RoundRecord] = field(default_factory=list)
+    secret: bytes = field(default_factory=lambda: os.urandom(32))
+
+
+def write_checkpoint(path: Path, layout: ModelLayout, state: ServerState) -> None:
+    """Replace the checkpoint: after a crash or power loss it is the old one or the new one.
+
+    Raises:
+        InputFileError: It can't be written.
+    """
+    facts = {
+        "format": FORMAT,
+        "names": layout.names,
+        "shapes": layout.shapes,
+        "run": state.run,
+        "round": state.round,
+        "trained": state.trained,
+        "finished": state.finished,
+        "approved": state.approved,
+        "history": [list(asdict(record).values()) for record in state.history],
+        "secret": state.secret.hex(),
+    }
+    arrays: dict[str, NDArray[np.generic]] = {
+        f"optimiser_{name}": value for name, value in state.optimiser.items()
+    }
+    arrays |= {
+        "model": state.model,
+        "published": state.published,
+        "members": np.array(state.ledger.members, np.uint32),
+        "answered": state.ledger.answered,
+        "utility": state.ledger.utility,
+        "digests": _columns(state.digests),
+        "facts": np.frombuffer(json.dumps(facts).encode(), np.uint8),
+    }
+    buffer = io.BytesIO()
+    np.savez(buffer, allow_pickle=False, **arrays)
+    with atomic_output(path) as temporary:
+        temporary.touch(mode=0o600)
+        temporary.write_bytes(buffer.getvalue())
+    folder = os.open(path.absolute().parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)  # the new name itself: power loss, not kill
+    finally:
+        os.close(folder)
+
+
+def read_checkpoint(path: Path, layout: ModelLayout, ledger: Ledger) -> ServerState | None:
+    """The state in a checkpoint, its ledger filled in; None when there is none.
+
+    Raises:
+        FederationError: A file that is no checkpoint, or one of another model.
+    """
+    if not path.exists():
+        return None
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        facts = json.loads(arrays.pop("facts").tobytes())
+        found = ModelLayout(tuple(facts["names"]), tuple(map(tuple, facts["shapes"])))
+        state = _state(facts, arrays, ledger)
+    except _UNREADABLE as error:
+        raise FederationError(str(path), error, "a checkpoint of federated_server") from None
+    if found != layout:
+        raise FederationError(str(path), found.describe(), layout.describe())
+    return state
+
+
+def _state(
+    facts: Mapping[str, object], arrays: dict[str, NDArray[np.float64]], ledger: Ledger
+) -> ServerState:
+    prefix = "optimiser_"
+    history = facts["history"]
+    columns = [arrays[name].tolist() for name in ("members", "answered", "utility")]
+    ledger.take_over(*columns)
+    assert isinstance(history, list)
+    return ServerState(
+        run=int(str(facts["run"])),
+        model=arrays["model"].astype(np.float32),
+        published=arrays["published"].astype(np.float32),
+        round=int(str(facts["round"])),
+        trained=bool(facts["trained"]),
+        finished=bool(facts["finished"]),
+        approved=int(str(facts["approved"])),
+        optimiser={k[len(prefix) :]: v for k, v in arrays.items() if k.startswith(prefix)},
+        ledger=ledger,
+        digests={k: int(v) for k, v in zip(*_rows(arrays["digests"]), strict=True)},
+        history=[RoundRecord(*row) for row in history],
+        secret=bytes.fromhex(str(facts["secret"])),
+    )
+
+
+def _columns(table: Mapping[int, float]) -> NDArray[np.float64]:
+    """Two rows: keys and values, both exact in float64 below 2^53."""
+    return np.array([list(table), list(table.values())], np.float64)
+
+
+def _rows(table: NDArray[np.float64]) -> tuple[list[int], list[float]]:
+    return table[0].astype(np.int64).tolist(), table[1].tolist()

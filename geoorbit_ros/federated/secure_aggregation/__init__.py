@@ -1,1 +1,0 @@
-"""Sums of updates of which the server sees no summand (Bonawitz et al. 2017)."""

@@ -1,0 +1,1 @@
+"""Lane estimators, one file or folder each, behind one protocol."""

@@ -1,0 +1,1 @@
+"""The default estimator: lanes as ridges of traffic density in road coordinates, step by step."""

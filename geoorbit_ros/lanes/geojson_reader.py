@@ -1,0 +1,274 @@
+"""Reading lane files that anyone may have written: every problem in one sentence."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeGuard, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.core.errors import InputFileError
+from geoorbit_ros.core.lanes import CrossSection, Lane, LaneMap, Status
+from geoorbit_ros.core.polylines import offset_line, project
+
+ROLES = ("centerline", "left", "right")
+MAX_EXTENT_M = 20_000.0
+"""A lane further from the datum than this is in the wrong place: no camera sees 20 km."""
+DRAWN_WIDTH_M = 3.5
+"""Distance between boundaries that are made up because a file has only centrelines."""
+
+_NUMBERS: dict[str, tuple[float, float]] = {
+    "confidence": (0.0, 1.0),
+    "width_m": (0.0, 100.0),
+    "width_sigma_m": (0.0, 100.0),
+    "vehicles": (0.0, np.inf),
+    "vehicles_missing": (0.0, np.inf),
+    "sigma_m": (0.0, 1e6),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One checked feature."""
+
+    place: str
+    lane_id: int
+    role: str
+    lon_lat_deg: NDArray[np.float64]
+    properties: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Collection:
+    """A checked file: its features and its `geoorbit` member (empty in a third party's file)."""
+
+    path: Path
+    lines: tuple[Line, ...]
+    about: dict[str, Any]
+
+
+def load_collection(path: Path) -> Collection:
+    """Parse and check a lane file.
+
+    Raises:
+        InputFileError: Unreadable, not JSON, not a FeatureCollection of lane lines.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise InputFileError(str(path), error.strerror, "a readable file") from error
+    except ValueError as error:  # not UTF-8
+        raise InputFileError(str(path), error, "a GeoJSON file") from error
+    return parse_collection(text, path)
+
+
+def parse_collection(text: str, path: Path) -> Collection:
+    """Parse and check the text of a lane file; `path` is what errors call it.
+
+    Raises:
+        InputFileError: Not JSON, not a FeatureCollection of lane lines.
+    """
+    try:
+        data = json.loads(text, parse_constant=_no_constant)
+    except json.JSONDecodeError as error:
+        where = f"{path}, line {error.lineno}"
+        raise InputFileError(where, error.msg, "a GeoJSON file") from error
+    except ValueError as error:  # NaN in the JSON
+        raise InputFileError(str(path), error, "a GeoJSON file") from error
+    if not isinstance(data, dict) or data.get("type") != "FeatureCollection":
+        found = data.get("type") if isinstance(data, dict) else type(data).__name__
+        raise InputFileError(f"{path}, 'type'", repr(found), "'FeatureCollection'")
+    features = data.get("features")
+    if not isinstance(features, list):
+        raise InputFileError(f"{path}, 'features'", repr(features), "a list of features")
+    about = data.get("geoorbit", {})
+    if not isinstance(about, dict):
+        raise InputFileError(f"{path}, 'geoorbit'", repr(about), "an object")
+    version = about.get("format", 1)
+    if version != 1:
+        raise InputFileError(f"{path}, 'geoorbit.format'", version, "format 1")
+    return Collection(path, tuple(_line(path, k, f) for k, f in enumerate(features)), about)
+
+
+def datum_of(collection: Collection) -> Datum:
+    """The file's datum, else the mean of its points.
+
+    Raises:
+        InputFileError: A malformed datum, or no datum and no points.
+    """
+    stated = collection.about.get("datum")
+    place = f"{collection.path}, 'geoorbit.datum'"
+    if stated is not None:
+        try:
+            latitude, longitude = float(stated["latitude"]), float(stated["longitude"])
+        except (TypeError, KeyError, ValueError) as error:
+            raise InputFileError(place, stated, "numbers 'latitude' and 'longitude'") from error
+        if not (abs(latitude) <= 90 and abs(longitude) <= 180):
+            raise InputFileError(place, stated, "degrees within -90..90 and -180..180")
+        return Datum(latitude, longitude)
+    if not collection.lines:
+        raise InputFileError(str(collection.path), "no features and no datum", "at least one lane")
+    longitude, latitude = np.vstack([x.lon_lat_deg for x in collection.lines]).mean(axis=0)
+    return Datum(float(latitude), float(longitude))
+
+
+def lanes_of(collection: Collection, datum: Datum) -> tuple[Lane, ...]:
+    """The file's lanes in metres around `datum`, ordered by id.
+
+    Raises:
+        InputFileError: A lane twice, without centreline, without length or far from the datum.
+    """
+    by_lane: dict[int, dict[str, Line]] = {}
+    for line in collection.lines:
+        roles = by_lane.setdefault(line.lane_id, {})
+        if line.role in roles:
+            found = f"a second {line.role} of lane {line.lane_id}"
+            raise InputFileError(line.place, found, "one feature per lane_id and role")
+        roles[line.role] = line
+    return tuple(_lane(collection.path, k, by_lane[k], datum) for k in sorted(by_lane))
+
+
+def map_of(collection: Collection, datum: Datum, lanes: tuple[Lane, ...]) -> LaneMap:
+    """The lane map with what its `geoorbit` member adds: stamp, cross sections, visible range."""
+    about = collection.about
+    try:
+        sections = tuple(
+            CrossSection(
+                float(section["heading_deg"]),
+                np.asarray(section["offset_m"], dtype=np.float64),
+                np.asarray(section["density"], dtype=np.float64),
+                np.asarray(section["peak_m"], dtype=np.float64),
+            )
+            for section in about.get("cross_sections", [])
+        )
+        visible = np.empty((0, 2))
+        if about.get("visible"):
+            ring = np.asarray(about["visible"]["coordinates"][0], dtype=np.float64)
+            visible = datum.to_local(ring[:-1, 1], ring[:-1, 0])
+        return LaneMap(int(about.get("stamp_ns", 0)), lanes, sections, visible)
+    except (TypeError, KeyError, ValueError, IndexError) as error:
+        place = f"{collection.path}, 'geoorbit'"
+        raise InputFileError(place, error, "the members docs/formats.md lists") from error
+
+
+def _lane(path: Path, lane_id: int, roles: dict[str, Line], datum: Datum) -> Lane:
+    if "centerline" not in roles:
+        found = f"only {' and '.join(sorted(roles))} of lane {lane_id}"
+        raise InputFileError(str(path), found, "a feature with role 'centerline' for each lane")
+    center = _local(roles["centerline"], datum)
+    given = roles["centerline"].properties
+    width = _number(given, "width_m", float("nan"))
+    sides = []
+    for role, sign in (("left", 1.0), ("right", -1.0)):
+        if role in roles:
+            beside = _local(roles[role], datum)
+            same = len(beside) == len(center)
+            sides.append(beside if same else _beside(center, beside))
+        else:
+            half = 0.5 * (width if np.isfinite(width) else DRAWN_WIDTH_M)
+            sides.append(offset_line(center, sign * half))
+    if not np.isfinite(width) and "left" in roles and "right" in roles:
+        width = float(np.mean(np.hypot(*(sides[0] - sides[1]).T)))
+    status: Status = given.get("status", "confirmed")
+    return Lane(
+        lane_id=lane_id,
+        centerline_m=center,
+        left_m=sides[0],
+        right_m=sides[1],
+        width_m=width,
+        width_sigma_m=_number(given, "width_sigma_m", float("nan")),
+        confidence=_number(given, "confidence", 1.0),
+        status=status,
+        vehicles=_number(given, "vehicles", float("nan")),
+        vehicles_missing=int(_number(given, "vehicles_missing", 0.0)),
+        sigma_m=_number(given, "sigma_m", float("nan")),
+    )
+
+
+def _beside(center: NDArray[np.float64], line: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The points of `line` nearest to each point of `center`."""
+    foot = project(center, line)
+    arc = np.append(0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T)))
+    columns = [np.interp(foot.arc_m, arc, line[:, axis]) for axis in (0, 1)]
+    return np.column_stack(columns)
+
+
+def _local(line: Line, datum: Datum) -> NDArray[np.float64]:
+    local = datum.to_local(line.lon_lat_deg[:, 1], line.lon_lat_deg[:, 0])
+    far = ~(np.hypot(local[:, 0], local[:, 1]) < MAX_EXTENT_M)
+    if far.any():
+        k = int(np.argmax(far))
+        found = f"point {k} {line.lon_lat_deg[k].tolist()}"
+        expected = (
+            f"[longitude, latitude] within {MAX_EXTENT_M / 1000:.0f} km of the datum "
+            f"({datum.latitude_deg:.5f}, {datum.longitude_deg:.5f})"
+        )
+        raise InputFileError(line.place, found, expected)
+    if np.hypot(*np.diff(local, axis=0).T).sum() < 0.01:
+        raise InputFileError(line.place, "a line without length", "two different points")
+    return local
+
+
+def _line(path: Path, k: int, feature: Any) -> Line:
+    place = f"{path}, feature {k}"
+    if not isinstance(feature, dict):
+        raise InputFileError(place, type(feature).__name__, "a GeoJSON Feature")
+    properties = feature.get("properties")
+    geometry = feature.get("geometry")
+    if not isinstance(properties, dict):
+        raise InputFileError(f"{place}, 'properties'", repr(properties), "an object")
+    if not isinstance(geometry, dict) or geometry.get("type") != "LineString":
+        found = geometry.get("type") if isinstance(geometry, dict) else geometry
+        raise InputFileError(f"{place}, 'geometry'", repr(found), "a LineString")
+    lane_id = properties.get("lane_id")
+    if not _is_number(lane_id) or lane_id != int(lane_id):
+        raise InputFileError(f"{place}, 'lane_id'", repr(lane_id), "a whole number")
+    for key, values, default in (
+        ("role", ROLES, "centerline"),
+        ("status", get_args(Status), "confirmed"),
+    ):
+        value = properties.get(key, default)
+        if value not in values:
+            raise InputFileError(f"{place}, '{key}'", repr(value), " or ".join(map(repr, values)))
+    for key, (low, high) in _NUMBERS.items():
+        value = properties.get(key)
+        if value is not None and not (_is_number(value) and low <= value <= high):
+            limit = f"a number from {low:g} to {high:g}" if high < np.inf else "a number, 0 or more"
+            raise InputFileError(f"{place}, '{key}'", repr(value), limit)
+    role = properties.get("role", "centerline")
+    points = _points(place, geometry.get("coordinates"))
+    return Line(place, int(lane_id), role, points, properties)
+
+
+def _points(place: str, coordinates: object) -> NDArray[np.float64]:
+    place = f"{place}, 'coordinates'"
+    if not isinstance(coordinates, list) or len(coordinates) < 2:
+        found = f"{len(coordinates)} points" if isinstance(coordinates, list) else repr(coordinates)
+        raise InputFileError(place, found, "at least two points")
+    for k, point in enumerate(coordinates):
+        pair = point[:2] if isinstance(point, list) else []  # an altitude may follow
+        if len(pair) != 2 or not all(map(_is_number, pair)):
+            expected = "[longitude, latitude] in numbers"
+            raise InputFileError(f"{place}, point {k}", repr(point), expected)
+        if not (abs(pair[0]) <= 180 and abs(pair[1]) <= 90):
+            expected = "longitude within -180..180, then latitude within -90..90"
+            raise InputFileError(f"{place}, point {k}", point, expected)
+    return np.array([point[:2] for point in coordinates], dtype=np.float64)
+
+
+def _is_number(value: object) -> TypeGuard[float]:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _number(properties: dict[str, Any], key: str, default: float) -> float:
+    value = properties.get(key)
+    return default if value is None else float(value)
+
+
+def _no_constant(name: str) -> float:
+    raise ValueError(f"the number {name}")

@@ -1,0 +1,1 @@
+"""The lane map of a running camera: when it is derived, ids, memory, state."""

@@ -1,0 +1,137 @@
+"""What a map adds to lanes that too few vehicles have driven along.
+
+A prior must not do harm where the map is wrong, so it has to earn its weight at each place: a
+tentative lane is drawn towards the map's lane only where a confirmed lane beside it lies where the
+map has it, and with the error that the map has there. The width of a lane without neighbours, a
+guess by the speed of the road, gives way to the map's only where the map has the widths right that
+were measured. Confirmed lanes stay where they are, and no lane gains confidence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geoorbit_ros.core.lanes import Lane, LaneMap
+from geoorbit_ros.core.polylines import Projection, offset_line, project
+
+GATE_M = 1.75
+BESIDE_M = (2.3, 5.2)
+"""Middles of neighbouring lanes are this far apart."""
+FITS_M, WIDTH_FITS_M = 0.4, 0.25
+"""A map that is farther off has no say."""
+FLOOR_M = 0.15
+"""Nor does it ever count as better than this."""
+GUESS_M = 0.25
+"""Widths with a larger error have not been measured."""
+SIGMAS = 2.0
+MIN_MEASURED = 2
+PARALLEL = float(np.cos(np.radians(25.0)))
+
+
+@dataclass(frozen=True, slots=True)
+class MapPrior:
+    """The map's lanes, laid where the camera sees them.
+
+    Attributes:
+        lanes: In the camera's map frame.
+    """
+
+    lanes: Sequence[Lane]
+
+    def refine(self, lane_map: LaneMap) -> LaneMap:
+        """A lane map in which sparse lanes have taken the map's word where it is good."""
+        if all(_is_known(lane) for lane in lane_map.lanes):
+            return lane_map
+        places = [self._of(lane) for lane in lane_map.lanes]
+        sure = [
+            (lane, *place)
+            for lane, place in zip(lane_map.lanes, places, strict=True)
+            if place is not None and lane.status == "confirmed"
+        ]
+        errors = [_median(foot) for _, _, foot in sure]
+        wide = [
+            lane.width_m - there.width_m for lane, there, _ in sure if lane.width_sigma_m < GUESS_M
+        ]
+        widths_fit = len(wide) >= MIN_MEASURED and max(map(abs, wide)) <= WIDTH_FITS_M
+        lanes = []
+        for lane, place in zip(lane_map.lanes, places, strict=True):
+            refined = lane
+            if place is not None and lane.status == "tentative":
+                beside = [
+                    error
+                    for (other, *_), error in zip(sure, errors, strict=True)
+                    if _beside(lane, other)
+                ]
+                refined = _drawn(lane, *place, beside)
+            if place is not None and widths_fit and not lane.width_sigma_m < GUESS_M:
+                refined = _widened(refined, place[0].width_m)
+            lanes.append(refined)
+        return replace(lane_map, lanes=tuple(lanes))
+
+    def _of(self, lane: Lane) -> tuple[Lane, Projection] | None:
+        """The map's lane that a lane lies in over most of its length, in its direction."""
+        best, least = None, GATE_M
+        x, y, heading = lane.middle
+        for there in self.lanes:
+            middle = project(np.array([[x, y]]), there.centerline_m, 1.0)
+            if middle.tangent[0] @ [np.cos(heading), np.sin(heading)] <= PARALLEL:
+                continue
+            foot = project(lane.centerline_m, there.centerline_m, 1.0)
+            if foot.inside.mean() > 0.5 and abs(_median(foot)) < least:
+                best, least = (there, foot), abs(_median(foot))
+        return best
+
+
+def _is_known(lane: Lane) -> bool:
+    """Whether a map can add nothing: confirmed, and its width was measured."""
+    return lane.status == "confirmed" and lane.width_sigma_m < GUESS_M
+
+
+def _median(foot: Projection) -> float:
+    return float(np.median(foot.offset_m[foot.inside]))
+
+
+def _beside(lane: Lane, other: Lane) -> bool:
+    foot = project(lane.centerline_m, other.centerline_m, 1.0)
+    return bool(
+        foot.inside.mean() > 0.5
+        and BESIDE_M[0] <= abs(_median(foot)) <= BESIDE_M[1]
+        and np.cos(lane.middle[2] - other.middle[2]) > PARALLEL
+    )
+
+
+def _drawn(lane: Lane, there: Lane, foot: Projection, beside: Sequence[float]) -> Lane:
+    """A lane between where it was seen and where the map has it, by the errors of both."""
+    if not beside or max(map(abs, beside)) > FITS_M:
+        return lane
+    sigma_m = max(FLOOR_M, *map(abs, beside))
+    own_m = lane.sigma_m if np.isfinite(lane.sigma_m) else GATE_M
+    offset_m = _median(foot)
+    if abs(offset_m) > SIGMAS * np.hypot(sigma_m, own_m):
+        return lane
+    weight = own_m**2 / (own_m**2 + sigma_m**2)
+    move = -weight * offset_m
+    return replace(
+        lane,
+        centerline_m=offset_line(lane.centerline_m, move),
+        left_m=offset_line(lane.left_m, move),
+        right_m=offset_line(lane.right_m, move),
+        sigma_m=float(own_m * sigma_m / np.hypot(own_m, sigma_m)),
+    )
+
+
+def _widened(lane: Lane, width_m: float) -> Lane:
+    """A lane whose width is that of the map as far as its own is less certain."""
+    own_m = lane.width_sigma_m if np.isfinite(lane.width_sigma_m) else 1.0
+    weight = own_m**2 / (own_m**2 + FLOOR_M**2)
+    width = lane.width_m + weight * (width_m - lane.width_m)
+    return replace(
+        lane,
+        left_m=offset_line(lane.centerline_m, 0.5 * width),
+        right_m=offset_line(lane.centerline_m, -0.5 * width),
+        width_m=float(width),
+        width_sigma_m=float(own_m * FLOOR_M / np.hypot(own_m, FLOOR_M)),
+    )

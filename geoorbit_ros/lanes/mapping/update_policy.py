@@ -1,0 +1,104 @@
+"""Counting new vehicles into a known map, between two derivations of its geometry.
+
+A few vehicles more move a centreline by centimetres, but they can confirm a lane. So most updates
+only count; the map is derived anew when the evidence has grown enough to sharpen it, or when
+vehicles drive where no lane is known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from geoorbit_ros.core.lanes import Lane
+from geoorbit_ros.lanes.estimators.curvilinear.grouped import totals
+from geoorbit_ros.lanes.estimators.curvilinear.trajectory_segments import Passes, step_m, wrap_rad
+
+NEAR_M = 1.5
+"""From a lane's middle; a vehicle farther away is beside the lane."""
+ALONG_RAD = 0.3
+SAMPLE_M = 2.0
+SUPPORT_M = 12.0
+"""Travel in a lane that makes a vehicle one of its own; less where the lane is short."""
+STRAY_M = 25.0
+"""Travel off all known lanes that may be along an unknown one: broken tracks are shorter."""
+CELL_M = 6.0
+CELLS_PER_TURN = 8
+BUNDLE = 4
+"""Vehicles off the known lanes, all through one place, that may be a lane."""
+MORE = 4
+"""Times as many as before it takes where they made no lane: that place seldom makes one now."""
+
+
+class LaneCounter:
+    """Assigns passes to the lanes of one map, and counts them.
+
+    Args:
+        lanes: The map's lanes.
+
+    Attributes:
+        vehicles: (L,) passes counted into each lane so far.
+    """
+
+    def __init__(self, lanes: Sequence[Lane]) -> None:
+        lines = [_dense(lane.centerline_m) for lane in lanes]
+        self.vehicles = np.zeros(len(lines), np.int64)
+        self._owner = np.repeat(np.arange(len(lines)), [len(line) for line in lines])
+        headings = [np.arctan2(*np.gradient(line, axis=0).T[::-1]) for line in lines]
+        self._heading = np.concatenate(headings) if lines else np.empty(0)
+        self._tree = cKDTree(np.concatenate(lines)) if lines else None
+        lengths = np.array([lane.length_m for lane in lanes])
+        self._wanted_m = np.minimum(SUPPORT_M, 0.5 * lengths)
+
+    def add(self, passes: Passes) -> NDArray[np.int64]:
+        """Count new traffic; returns the nodes that are off the lanes, of passes long off them."""
+        if self._tree is None or len(passes) == 0:
+            return np.arange(len(passes.xy))
+        distance, at = self._tree.query(passes.xy, distance_upper_bound=NEAR_M)
+        near = np.isfinite(distance)
+        at = np.where(near, at, 0)
+        near &= np.abs(wrap_rad(passes.heading - self._heading[at])) <= ALONG_RAD
+        step = np.append(0.0, step_m(*passes.xy.T))
+        step[passes.offset[:-1]] = 0.0
+        count = len(self.vehicles)
+        cell = passes.owner[near] * count + self._owner[at[near]]
+        travel = totals(cell, step[near], len(passes) * count).reshape(len(passes), count)
+        self.vehicles += np.sum(travel >= self._wanted_m, axis=0)
+        away = totals(passes.owner, step * ~near, len(passes))
+        return np.flatnonzero(~near & (away >= STRAY_M)[passes.owner])
+
+
+class Strays:
+    """Where vehicles drive that no known lane explains, for as long as the camera runs."""
+
+    def __init__(self) -> None:
+        self._count: dict[tuple[int, ...], int] = {}
+        self._known: dict[tuple[int, ...], int] = {}
+
+    def add(self, passes: Passes, node: NDArray[np.int64]) -> bool:
+        """Count passes at their nodes `node` (M,), which are off the lanes.
+
+        Returns:
+            Whether there may be a lane now that the last derivation could not know of.
+        """
+        sector = np.rint(passes.heading[node] * (CELLS_PER_TURN / (2.0 * np.pi))) % CELLS_PER_TURN
+        cell = np.column_stack([passes.owner[node], np.floor(passes.xy[node] / CELL_M), sector])
+        bundle = False
+        for _, *place in set(map(tuple, cell.astype(np.int64).tolist())):
+            key = tuple(place)
+            self._count[key] = self._count.get(key, 0) + 1
+            bundle |= self._count[key] == max(BUNDLE, MORE * self._known.get(key, 0))
+        return bundle
+
+    def derived(self) -> None:
+        """A map was derived from all traffic so far."""
+        self._known = dict(self._count)
+
+
+def _dense(line: NDArray[np.float64]) -> NDArray[np.float64]:
+    arc = np.append(0.0, np.cumsum(step_m(*line.T)))
+    at = np.linspace(0.0, arc[-1], max(2, int(arc[-1] / SAMPLE_M) + 1))
+    return np.column_stack([np.interp(at, arc, line[:, k]) for k in range(2)])

@@ -1,0 +1,236 @@
+"""Where aligned lanes and a network differ: missing, extra, shifted, other width, other direction.
+
+What has no partner (`mapcheck/partners.py`) is missing in the map, or has not been seen by the
+camera; what has one is compared with it, edge by edge.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from geoorbit_ros.core.lanes import Lane
+from geoorbit_ros.mapcheck.alignment import Alignment
+from geoorbit_ros.mapcheck.driven_lanes import DrivenLane
+from geoorbit_ros.mapcheck.empty_lanes import MIN_LENGTH_M, find_extra
+from geoorbit_ros.mapcheck.findings import Finding, Unseen
+from geoorbit_ros.mapcheck.overlay import lanes_near, offsets, sample_lines
+from geoorbit_ros.mapcheck.partners import Partners, find_partners
+from geoorbit_ros.roadnet.network import RoadNetwork
+
+BESIDE_M = 6.0
+"""A missing lane belongs to the edge of the lane within this distance."""
+BESIDE_SHARE = 0.6
+"""A lane whose middle is farther from every lane's than this share of its width is another one."""
+SHIFT_M, WIDTH_M = 0.35, 0.25
+"""Differences that are none, be the detection ever so sure: drivers don't keep to the middle."""
+SIGMAS = 2.5
+
+
+@dataclass(frozen=True, slots=True)
+class Discrepancies:
+    """All that was found.
+
+    Attributes:
+        findings: In the order of certainty.
+        unseen: Lanes of the network without enough traffic to judge them.
+        compared: Lanes of the network that were compared, and over how many metres.
+        driven: Where those are driven whose edge has lanes out of place or of another width.
+    """
+
+    findings: tuple[Finding, ...]
+    unseen: tuple[Unseen, ...]
+    compared: Mapping[str, float]
+    driven: Mapping[str, DrivenLane]
+
+
+def compare(lanes: Sequence[Lane], network: RoadNetwork, alignment: Alignment) -> Discrepancies:
+    """Differences between detected lanes and a network.
+
+    Args:
+        lanes: In the camera's map frame; tentative ones show that a lane is used, no more.
+        network: In the same frame.
+        alignment: Lays the ones on the other.
+    """
+    number = lanes_near(network, lanes)
+    lines = [alignment.points(lane.centerline_m) for lane in lanes]
+    partners = find_partners(lines, network, number)
+    beside = _Beside(lines, network, number)
+    found: list[Finding] = []
+    compared: dict[str, float] = {}
+    driven: dict[str, DrivenLane] = {}
+    for k in sorted(set(partners.lane[partners.lane >= 0].tolist())):
+        if network.internal[k]:
+            continue
+        at = partners.lane == k
+        d = int(np.bincount(partners.detected[at]).argmax())
+        at &= partners.detected == d
+        length_m = _length(partners.arc_m[at])
+        if lanes[d].status != "confirmed" or length_m < MIN_LENGTH_M:
+            continue
+        compared[network.lane_id[k]] = length_m
+        found += _of_pair(lanes[d], network, k, partners, at)
+        if np.median(partners.along[at]) > 0.0:
+            order = np.argsort(partners.arc_m[at])
+            wide = lanes[d].width_m if np.isfinite(lanes[d].width_m) else float(network.width_m[k])
+            driven[network.lane_id[k]] = DrivenLane(
+                partners.arc_m[at][order], partners.offset_m[at][order], wide
+            )
+    for d, lane in enumerate(lanes):
+        if lane.status == "confirmed":
+            found += _missing(lane, d, network, beside, partners)
+    extra, unseen = find_extra(lanes, network, number, partners)
+    found += extra
+    found.sort(key=lambda f: -f.confidence)
+    wrong = {_edge(f.lane_id) for f in found if f.kind in ("shifted", "width")}
+    driven = {name: lane for name, lane in driven.items() if _edge(name) in wrong}
+    return Discrepancies(tuple(found), tuple(unseen), compared, driven)
+
+
+def _of_pair(
+    lane: Lane, network: RoadNetwork, k: int, partners: Partners, at: NDArray[np.bool_]
+) -> list[Finding]:
+    """Direction, place and width of a network lane against its partner's."""
+    name, line = network.lane_id[k], partners.xy[at]
+    if np.median(partners.along[at]) < 0.0:
+        measured = lane.heading_deg
+        expected = (measured + 180.0) % 360.0
+        text = f"traffic on {name} runs towards {measured:.0f}°, the map's lane the other way"
+        return [
+            Finding(
+                "direction", name, lane.lane_id, line, measured, expected, 90.0, "",
+                lane.confidence, text,
+            )
+        ]  # fmt: skip
+    found = []
+    shift = float(np.median(partners.offset_m[at]))
+    sigma = lane.sigma_m if np.isfinite(lane.sigma_m) else SHIFT_M
+    tolerance = float(np.hypot(SHIFT_M, SIGMAS * sigma))
+    if abs(shift) > tolerance and _all_along(network, k, partners, at, shift):
+        side = "left" if shift > 0 else "right"
+        text = f"{name} lies {abs(shift):.2f} m too far to the {_other(side)}"
+        sure = lane.confidence * float(ndtr((abs(shift) - SHIFT_M) / max(sigma, 1e-3)))
+        found.append(
+            Finding("shifted", name, lane.lane_id, line, shift, 0.0, tolerance, "m", sure, text)
+        )
+    expected = float(network.width_m[k])
+    sigma = lane.width_sigma_m if np.isfinite(lane.width_sigma_m) else WIDTH_M
+    tolerance = float(np.hypot(WIDTH_M, SIGMAS * sigma))
+    if np.isfinite(lane.width_m) and abs(lane.width_m - expected) > tolerance:
+        text = f"{name} is {lane.width_m:.2f} m wide, by the map {expected:.2f} m"
+        sure = lane.confidence * float(
+            ndtr((abs(lane.width_m - expected) - WIDTH_M) / max(sigma, 1e-3))
+        )
+        found.append(
+            Finding(
+                "width", name, lane.lane_id, line, lane.width_m, expected, tolerance, "m",
+                sure, text,
+            )
+        )  # fmt: skip
+    return found
+
+
+def _all_along(
+    network: RoadNetwork, k: int, partners: Partners, at: NDArray[np.bool_], shift_m: float
+) -> bool:
+    """Whether lane k is displaced all along, as far as that tells a displaced lane from another.
+
+    Of a lane that ends or begins beside others that go on, drivers come or go over most of it: its
+    traffic is beside its middle, but not all along. It must be so in every third of it.
+    """
+    group = [j for j, edge in enumerate(network.edge_id) if edge == network.edge_id[k]]
+    links = (network.successors, network.predecessors)
+    if not any(not link[k] and any(link[j] for j in group) for link in links):
+        return True
+    order = np.argsort(partners.arc_m[at])
+    thirds = np.array_split(partners.offset_m[at][order], 3)
+    return all(float(np.median(third)) * np.sign(shift_m) > SHIFT_M for third in thirds)
+
+
+def _edge(lane_id: str) -> str:
+    return lane_id.rpartition("_")[0]
+
+
+def _other(side: str) -> str:
+    return "right" if side == "left" else "left"
+
+
+def _missing(
+    lane: Lane, d: int, network: RoadNetwork, beside: _Beside, partners: Partners
+) -> list[Finding]:
+    """Stretches of a detected lane beside every lane of the map, one for each edge beside it."""
+    mine = np.flatnonzero(partners.detected == d)
+    alone = (partners.lane[mine] < 0) & (partners.gap_m[mine] > BESIDE_SHARE)
+    found = []
+    for run in _runs(alone):
+        neighbour = beside.neighbours(mine[run], network)
+        edge = [network.edge_id[k] if k >= 0 else "" for k in neighbour.tolist()]
+        for name in dict.fromkeys(edge):
+            here = np.array([e == name for e in edge])
+            xy = partners.xy[mine[run][here]]
+            length_m = _length_of(xy)
+            if length_m < MIN_LENGTH_M:
+                continue
+            lane_id = network.lane_id[int(np.bincount(neighbour[here]).argmax())] if name else ""
+            where = f"beside {lane_id}" if name else "where it has no road"
+            count = f" ({lane.vehicles:.0f} vehicles)" if np.isfinite(lane.vehicles) else ""
+            text = f"lane {lane.lane_id}{count} is not in the map, {where}, over {length_m:.0f} m"
+            found.append(
+                Finding(
+                    "missing", lane_id, lane.lane_id, xy, 1.0, 0.0, 0.0, "", lane.confidence, text
+                )
+            )  # fmt: skip
+    return found
+
+
+class _Beside:
+    """Which lanes of the map run beside detected ones, in the same direction.
+
+    Args:
+        lines: Detected centre lines, aligned.
+        network: The network.
+        number: Its lanes that may be.
+    """
+
+    def __init__(
+        self,
+        lines: Sequence[NDArray[np.float64]],
+        network: RoadNetwork,
+        number: NDArray[np.int64],
+    ) -> None:
+        near = offsets(sample_lines(lines), [network.line(int(k)) for k in number])
+        self._number = number
+        self._away = np.where(near.along > 0.0, np.abs(near.offset_m), np.inf)
+        self._away[:, network.internal[number]] = np.inf
+
+    def neighbours(self, samples: NDArray[np.int64], network: RoadNetwork) -> NDArray[np.int64]:
+        """(N,) for each of these samples the nearest lane within `BESIDE_M`, -1 for none.
+
+        Where edges part, lanes of both are near: that edge is taken which most samples are beside.
+        """
+        away = self._away[samples]
+        edge = np.array([network.edge_id[int(k)] for k in self._number])
+        beside = away < BESIDE_M
+        often = {e: int(beside[:, edge == e].any(axis=1).sum()) for e in dict.fromkeys(edge)}
+        share = np.array([often[e] for e in edge]) / (len(samples) + 1.0)
+        cost = np.where(beside, away / BESIDE_M - 2.0 * share, np.inf)
+        best = np.argmin(cost, axis=1)
+        rows = np.arange(len(best))
+        return np.where(np.isfinite(cost[rows, best]), self._number[best], -1)
+
+
+def _length(arc: NDArray[np.float64]) -> float:
+    return float(np.ptp(arc)) if len(arc) else 0.0
+
+
+def _length_of(xy: NDArray[np.float64]) -> float:
+    return float(np.hypot(*np.diff(xy, axis=0).T).sum())
+
+
+def _runs(flag: NDArray[np.bool_]) -> list[slice]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flag.astype(np.int8), [0]])))
+    return [slice(int(a), int(b)) for a, b in edges.reshape(-1, 2)]

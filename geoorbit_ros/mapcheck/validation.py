@@ -1,0 +1,139 @@
+"""A camera's lanes against a network, in two steps: lay one on the other, then say what differs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.core.lanes import Lane
+from geoorbit_ros.mapcheck.alignment import SIGNIFICANT_M, Alignment, align
+from geoorbit_ros.mapcheck.discrepancies import Discrepancies, compare
+from geoorbit_ros.mapcheck.findings import TITLES, Finding
+from geoorbit_ros.roadnet.network import RoadNetwork
+
+
+@dataclass(frozen=True, slots=True)
+class Validation:
+    """What a camera says about a network.
+
+    Attributes:
+        alignment: How the camera's map frame lies on the network.
+        findings: The displaced map first, then single lanes, the most certain first.
+        discrepancies: Single lanes, with those not compared.
+    """
+
+    alignment: Alignment
+    findings: tuple[Finding, ...]
+    discrepancies: Discrepancies
+
+    def record(self, datum: Datum) -> dict[str, Any]:
+        """All of it for a JSON file, places in degrees."""
+        a = self.alignment
+        return {
+            "alignment": {
+                "significant": a.significant,
+                **a.values(),
+                "unobserved_heading_deg": _heading(a),
+                "residual_m": round(a.residual_m, 3),
+                "lanes": a.lanes,
+            },
+            "findings": [_record(finding, datum) for finding in self.findings],
+            "not_seen": [{"lane": u.lane_id, "why": u.sentence} for u in self.discrepancies.unseen],
+            "compared_m": {k: round(m, 1) for k, m in self.discrepancies.compared.items()},
+        }
+
+
+def validate(lanes: Sequence[Lane], network: RoadNetwork) -> Validation:
+    """Compare detected lanes with a network, both in the camera's map frame.
+
+    Raises:
+        NoTrafficError: No confirmed lane.
+        RoadNetworkError: The network lies elsewhere.
+    """
+    alignment = align(lanes, network)
+    found = compare(lanes, network, alignment.applied)
+    findings = found.findings
+    if alignment.significant:
+        findings = (_offset(alignment), *findings)
+    return Validation(alignment, findings, found)
+
+
+def in_frame(lanes: Sequence[Lane], datum: Datum, wanted: Datum) -> list[Lane]:
+    """Lanes of one map frame in another."""
+    if datum == wanted:
+        return list(lanes)
+
+    def move(line: NDArray[np.float64]) -> NDArray[np.float64]:
+        return wanted.to_local(*datum.to_geodetic(line).T)
+
+    return [
+        replace(
+            lane,
+            centerline_m=move(lane.centerline_m),
+            left_m=move(lane.left_m),
+            right_m=move(lane.right_m),
+        )
+        for lane in lanes
+    ]
+
+
+def say_alignment(a: Alignment) -> str:
+    """The alignment as a sentence."""
+    unknown = _heading(a)
+    along = "" if unknown is None else f" (along {unknown:.0f}°, where all lanes run, not known)"
+    if not a.significant:
+        return f"Camera and map fit within {a.size_m:.2f} ± {a.sigma_m:.2f} m{along}."
+    east, north = -a.shift_m
+    return (
+        f"The map lies {_metres(east, 'east', 'west')} and {_metres(north, 'north', 'south')} of "
+        f"what the camera sees, ± {a.sigma_m:.2f} m{along}."
+    )
+
+
+def _metres(value: float, positive: str, negative: str) -> str:
+    return f"{abs(value):.2f} m {positive if value >= 0 else negative}"
+
+
+def _heading(a: Alignment) -> float | None:
+    """Degrees from north of the direction that is not observed, below 180; None if both are."""
+    if not a.unobserved.any():
+        return None
+    return round(float(np.degrees(np.arctan2(*a.unobserved)) % 180.0), 1)
+
+
+def _offset(a: Alignment) -> Finding:
+    return Finding(
+        kind="offset",
+        lane_id="",
+        detected=None,
+        line_m=a.centre_m[None, :],
+        measured=a.size_m,
+        expected=0.0,
+        tolerance=max(SIGNIFICANT_M, 3.0 * a.sigma_m),
+        unit="m",
+        confidence=1.0 - float(np.exp(-0.5 * (a.size_m / max(a.sigma_m, 1e-3)) ** 2)),
+        sentence=say_alignment(a)[:-1],
+    )
+
+
+def _record(finding: Finding, datum: Datum) -> dict[str, Any]:
+    latitude, longitude = datum.to_geodetic(finding.middle_m)[0]
+    return {
+        "kind": finding.kind,
+        "meaning": TITLES[finding.kind],
+        "lane": finding.lane_id,
+        "detected": finding.detected,
+        "latitude_deg": round(float(latitude), 7),
+        "longitude_deg": round(float(longitude), 7),
+        "measured": round(finding.measured, 3),
+        "expected": round(finding.expected, 3),
+        "tolerance": round(finding.tolerance, 3),
+        "unit": finding.unit,
+        "confidence": round(finding.confidence, 4),
+        "sentence": finding.sentence,
+    }

@@ -1,0 +1,129 @@
+"""Topic `<camera>/twin/side_by_side/compressed`: what the camera saw, the twin, the difference."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import CompressedImage, PointCloud2
+
+from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.conversions import decode_table, encode_compressed_image
+from geoorbit_ros.core.errors import GeoOrbitError
+from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE
+from geoorbit_ros.mapcheck.alignment import Alignment
+from geoorbit_ros.nodes.support.base import GeoOrbitNode
+from geoorbit_ros.nodes.support.image_sender import FORMAT
+from geoorbit_ros.nodes.support.table_stream import stream_qos
+from geoorbit_ros.twin.cameras import CameraView
+from geoorbit_ros.twin.placement import TwinStep, track_rows
+from geoorbit_ros.twin.side_by_side import boxes_of, side_by_side
+from geoorbit_ros.twin.twin_camera import TwinCamera
+
+QUALITY = 80
+
+
+class SideBySide:
+    """Makes a picture now and then, in a thread of its own: no frame of the twin waits for one.
+
+    While a picture is made, the next ones are left out.
+
+    Args:
+        node: Subscribes `<camera>/image/compressed` and `<camera>/tracks_px`, and publishes.
+        network: The network's file.
+        datum: Origin of the twin's map frame.
+        views: Of the cameras whose calibrations are known.
+        period_s: Time between two pictures, by the stamps of the twin; 0 makes none.
+        alignments: What each camera's tracks are moved by.
+
+    Attributes:
+        pictures: Published so far.
+    """
+
+    def __init__(
+        self,
+        node: GeoOrbitNode[Any],
+        network: str,
+        datum: Datum,
+        views: Mapping[str, CameraView],
+        period_s: float,
+        alignments: Mapping[str, Alignment],
+    ) -> None:
+        self._node, self._network, self._datum, self._views = node, network, datum, views
+        self._period_ns, self._alignments = round(period_s * 1e9), alignments
+        self._due_ns, self.pictures = 0, 0
+        self._cameras: dict[str, TwinCamera] = {}
+        self._image: dict[str, bytes] = {}
+        self._boxes: dict[str, NDArray[np.void]] = {}
+        self._publishers: dict[str, Publisher] = {}
+        self._worker = ThreadPoolExecutor(1, "side_by_side")
+        self._work: Future[None] | None = None
+        qos = stream_qos("best_effort", 1)
+        for camera in views if period_s > 0.0 else ():
+            on_image = partial(self._on_image, camera)
+            on_boxes = partial(self._on_boxes, camera)
+            node.create_subscription(CompressedImage, f"{camera}/image/compressed", on_image, qos)
+            node.create_subscription(PointCloud2, f"{camera}/tracks_px", on_boxes, qos, raw=True)
+            topic = f"{camera}/twin/side_by_side/compressed"
+            self._publishers[camera] = node.create_publisher(CompressedImage, topic, qos)
+
+    def add(self, step: TwinStep) -> None:
+        """Take one step of the twin."""
+        if not self._publishers or 0 <= self._due_ns - step.stamp_ns <= self._period_ns:
+            return
+        if self._work is not None:
+            if not self._work.done():
+                return
+            error = self._work.exception()
+            if isinstance(error, GeoOrbitError):
+                self._node.diagnostics.refuse(error)
+            elif error is not None:
+                raise error
+        self._due_ns = step.stamp_ns + self._period_ns
+        self._work = self._worker.submit(
+            self._make, step.stamp_ns, track_rows(step), dict(self._image), dict(self._boxes)
+        )
+
+    def close(self) -> None:
+        """Finish the picture that is being made."""
+        self._worker.shutdown(wait=True, cancel_futures=True)
+
+    def _on_image(self, camera: str, message: CompressedImage) -> None:
+        self._image[camera] = bytes(message.data)
+
+    def _on_boxes(self, camera: str, cdr: bytes) -> None:
+        place = self._node.resolve_topic_name(f"{camera}/tracks_px")
+        try:
+            self._boxes[camera] = decode_table(cdr, PIXEL_TRACK_DTYPE, place)[2]
+        except GeoOrbitError as error:
+            self._node.diagnostics.refuse(error)
+
+    def _make(
+        self,
+        stamp_ns: int,
+        rows: NDArray[np.void],
+        images: Mapping[str, bytes],
+        boxes: Mapping[str, NDArray[np.void]],
+    ) -> None:
+        for camera, publisher in self._publishers.items():
+            view = self._views[camera]
+            if camera not in self._cameras:
+                self._cameras[camera] = TwinCamera(
+                    view.homography, view.image_size, self._network, view.datum
+                )
+            renderer = self._cameras[camera]
+            rendered, twin = renderer.render(rows, self._datum, self._alignments.get(camera))
+            seen = boxes_of(boxes.get(camera, np.zeros(0, PIXEL_TRACK_DTYPE)), renderer.scale)
+            data = np.frombuffer(images.get(camera, b""), np.uint8)
+            read = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) else None
+            image = None if read is None else np.asarray(read, np.uint8)
+            picture, _ = side_by_side(image, seen, rendered, twin, renderer.scale)
+            jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes()
+            publisher.publish(encode_compressed_image(stamp_ns, f"{camera}_optical", FORMAT, jpeg))
+            self.pictures += 1

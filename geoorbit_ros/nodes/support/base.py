@@ -1,0 +1,108 @@
+"""What all nodes share: typed parameters, diagnostics, lossless publishing."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any, Generic, TypeVar
+
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
+
+from geoorbit_ros.core.errors import GeoOrbitError, MessageError
+from geoorbit_ros.nodes.support.diagnostics import Diagnostics
+from geoorbit_ros.parameters import NodeParameters
+
+PUBLISH_TIMEOUT_S = 30.0
+"""How long a publisher that keeps everything waits for readers that are behind."""
+
+Struct = TypeVar("Struct")
+
+
+class GeoOrbitNode(Node, Generic[Struct]):
+    """A node with parameters from `params/<name>.yaml` and diagnostics.
+
+    A subclass sets `name` and `struct` and does its work in `setup`.
+
+    Args:
+        context: ROS context; default: the global one.
+        namespace: Camera namespace; default: from the command line.
+        overrides: Parameter values that go before the schema's defaults.
+
+    Attributes:
+        name: Name of the node and of its schema.
+        struct: Frozen dataclass of the parameters.
+        done: Set by a node whose process may end.
+
+    Raises:
+        GeoOrbitError: A parameter, or a file that one names, can't be used.
+    """
+
+    name: str
+    struct: type[Struct]
+
+    def __init__(
+        self,
+        *,
+        context: Context | None = None,
+        namespace: str | None = None,
+        overrides: Mapping[str, Any] | None = None,
+    ) -> None:
+        values = [Parameter(key, value=value) for key, value in (overrides or {}).items()]
+        super().__init__(
+            self.name, context=context, namespace=namespace, parameter_overrides=values
+        )
+        self.done = False
+        try:
+            self._checked = NodeParameters(self, self.struct, self.name, self.on_parameters)
+            self.diagnostics = Diagnostics(self, self.diagnostic_values)
+            self.setup()
+        except GeoOrbitError:
+            self.destroy_node()
+            raise
+
+    def setup(self) -> None:
+        """Read files, create publishers and subscriptions."""
+        raise NotImplementedError
+
+    @property
+    def p(self) -> Struct:
+        """The parameters as they stand."""
+        return self._checked.value
+
+    @property
+    def camera_id(self) -> str:
+        """The namespace without slashes at its ends."""
+        return str(self.get_namespace()).strip("/")
+
+    def on_parameters(self, changed: Struct) -> None:
+        """Called with new parameters when one is set; may raise ParameterError to refuse."""
+
+    def diagnostic_values(self) -> Mapping[str, object]:
+        """This node's own values on /diagnostics."""
+        return {}
+
+    def close(self) -> None:
+        """Finish what the node was doing, before it is destroyed."""
+
+    def publish_stream(self, publisher: Publisher, cdr: bytes) -> None:
+        """Publish serialised bytes; where every message is kept, wait for readers behind.
+
+        Raises:
+            MessageError: Readers that stay behind for half a minute.
+        """
+        deadline = time.monotonic() + PUBLISH_TIMEOUT_S
+        while True:
+            try:
+                publisher.publish(cdr)
+                break
+            except RuntimeError as error:  # rclpy's RCLError: the history is full
+                if not self.context.ok() or "cannot publish data" not in str(error):
+                    raise
+                if time.monotonic() > deadline:
+                    found = f"readers behind for {PUBLISH_TIMEOUT_S:g} s"
+                    raise MessageError(publisher.topic, found, "readers that keep up") from error
+                time.sleep(0.01)
+        self.diagnostics.published += 1

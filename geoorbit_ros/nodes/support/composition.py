@@ -1,0 +1,147 @@
+"""Several nodes in one process, on one executor, in a ROS context of their own."""
+
+from __future__ import annotations
+
+import os
+import socket
+import time
+from collections.abc import Callable, Mapping
+from itertools import count
+from types import TracebackType
+from typing import Any, TypeVar
+
+import rclpy
+from rclpy.context import Context
+from rclpy.logging import LoggingSeverity, set_logger_level
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from geoorbit_ros.core.errors import GeoOrbitError
+from geoorbit_ros.nodes.support.base import GeoOrbitNode
+from geoorbit_ros.nodes.support.process import make_executor
+
+_FIRST, _LAST = 1, 100
+"""Domain 0 is the default one; from 102 on Linux hands the ports out to others."""
+_tries = count(os.getpid())
+_BASE, _GAIN = 7400, 250
+"""Discovery port of a domain: OMG DDS-RTPS 2.5, section 9.6.2.3."""
+
+
+def free_domain_id() -> int:
+    """A domain in which no participant runs on this machine; another one on every call.
+
+    Raises:
+        GeoOrbitError: All are taken.
+    """
+    number = _LAST - _FIRST + 1
+    for _ in range(number):
+        domain_id = _FIRST + next(_tries) % number
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:  # participants share this port among themselves, but not with a plain socket
+                probe.bind(("", _BASE + _GAIN * domain_id))
+            except OSError:
+                continue
+        return domain_id
+    raise GeoOrbitError("ROS domains", f"{_FIRST} to {_LAST} in use", "a free one")
+
+
+STEP_S = 0.05
+
+AnyNode = TypeVar("AnyNode", bound=Node)
+AnyGeoOrbitNode = TypeVar("AnyGeoOrbitNode", bound=GeoOrbitNode[Any])
+
+
+class Composition:
+    """A context manager that holds nodes, spins them and takes them down again.
+
+    Signals stay Python's: Ctrl-C raises KeyboardInterrupt as in any command.
+
+    Args:
+        domain_id: ROS domain; None takes a free one that only this machine can see.
+        quiet: Whether the nodes log warnings and errors only.
+    """
+
+    def __init__(self, domain_id: int | None = None, *, quiet: bool = False) -> None:
+        if domain_id is None:
+            os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+            domain_id = free_domain_id()
+        self.domain_id, self._quiet = domain_id, quiet
+        self.context = Context()
+        no_signals = SignalHandlerOptions.NO
+        rclpy.init(
+            args=[], context=self.context, domain_id=domain_id, signal_handler_options=no_signals
+        )
+        self._executor = make_executor(self.context)
+        self._nodes: list[Node] = []
+
+    def add(self, node: AnyNode) -> AnyNode:
+        """Take over a node made with this composition's `context`."""
+        self._nodes.append(node)
+        self._executor.add_node(node)
+        return node
+
+    def make(
+        self, node_class: type[AnyGeoOrbitNode], namespace: str, overrides: Mapping[str, object]
+    ) -> AnyGeoOrbitNode:
+        """A new node of this composition.
+
+        Raises:
+            GeoOrbitError: As the node's constructor.
+        """
+        if self._quiet:
+            set_logger_level(f"{namespace}.{node_class.name}", LoggingSeverity.WARN)
+        return self.add(node_class(context=self.context, namespace=namespace, overrides=overrides))
+
+    def spin(self, timeout_s: float = STEP_S) -> None:
+        """Do what is due, or wait for it; errors of callbacks come out here."""
+        self._executor.spin_once(timeout_sec=timeout_s)
+
+    def wait(
+        self,
+        met: Callable[[], bool],
+        timeout_s: float,
+        what: str,
+        progress: Callable[[], int] = int,
+    ) -> None:
+        """Spin until a condition is met.
+
+        Args:
+            met: The condition.
+            timeout_s: Longest time without progress.
+            what: What is waited for, as words for the error.
+            progress: A number that changes while things go forward.
+
+        Raises:
+            GeoOrbitError: The time is up.
+        """
+        seen, deadline = progress(), time.monotonic() + timeout_s
+        while not met():
+            self.spin()
+            if progress() != seen:
+                seen, deadline = progress(), time.monotonic() + timeout_s
+            elif time.monotonic() > deadline:
+                names = ", ".join(node.get_name() for node in self._nodes)
+                raise GeoOrbitError(f"nodes {names}", f"nothing for {timeout_s:g} s", what)
+
+    def close(self) -> None:
+        """Let the nodes finish, then destroy them and the context."""
+        try:
+            for node in self._nodes:
+                if isinstance(node, GeoOrbitNode):
+                    node.close()
+        finally:
+            self._executor.shutdown()
+            for node in self._nodes:
+                node.destroy_node()
+            self.context.try_shutdown()
+
+    def __enter__(self) -> Composition:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> Any:
+        self.close()

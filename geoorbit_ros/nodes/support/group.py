@@ -1,0 +1,91 @@
+"""Runs the nodes of one process of a fleet on one executor, with a heartbeat for its supervisor."""
+
+from __future__ import annotations
+
+import inspect
+import os
+import sys
+import time
+from collections.abc import Sequence
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from geoorbit_ros.core.errors import ParameterError
+from geoorbit_ros.fleet.allocator import FreeMemory
+from geoorbit_ros.fleet.plan import NodePlan, ProcessPlan
+from geoorbit_ros.fleet.supervisor import HEARTBEAT_PERIOD_S
+from geoorbit_ros.nodes.support.base import GeoOrbitNode
+from geoorbit_ros.nodes.support.process import run_nodes
+
+
+class Heartbeat:
+    """Writes to a pipe once a second, from the loop that spins the nodes.
+
+    Args:
+        descriptor: Writing end of the pipe.
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+        self._due_s = 0.0
+
+    def beat(self) -> bool:
+        """Show that the loop turns; False when nobody listens any more."""
+        now = time.monotonic()
+        if now < self._due_s:
+            return True
+        self._due_s = now + HEARTBEAT_PERIOD_S
+        try:
+            os.write(self._descriptor, b".")
+        except BrokenPipeError:
+            return False
+        return True
+
+
+def node_class(executable: str) -> type[GeoOrbitNode[Any]]:
+    """The node behind an executable's name.
+
+    Raises:
+        ParameterError: There is none.
+    """
+    try:
+        module = import_module(f"geoorbit_ros.nodes.{executable}")
+    except ModuleNotFoundError as error:
+        raise ParameterError("node", f"'{executable}'", "an executable of geoorbit_ros") from error
+    for _, found in inspect.getmembers(module, inspect.isclass):
+        if issubclass(found, GeoOrbitNode) and getattr(found, "name", "") == executable:
+            return found
+    raise ParameterError("node", f"'{executable}'", f"a node class in {module.__name__}")
+
+
+def run_group(plan: ProcessPlan, heartbeat: Heartbeat) -> int:
+    """Start the plan's nodes and spin them until told to end, or until the supervisor is gone.
+
+    Returns:
+        Exit status: 0 when told to end, 2 with one sentence when a node can't start.
+    """
+    makers = [partial(_make, node) for node in plan.nodes]
+    free_memory = FreeMemory()
+
+    def goes_on(_: Sequence[GeoOrbitNode[Any]]) -> bool:
+        free_memory.give_back_if_due()
+        return heartbeat.beat()
+
+    return run_nodes(makers, goes_on, [])
+
+
+def _make(plan: NodePlan) -> GeoOrbitNode[Any]:
+    make = node_class(plan.executable)
+    return make(namespace=plan.namespace or None, overrides=plan.parameters)
+
+
+def run_plan(plan_file: str, descriptor: str) -> int:
+    """What `python -m geoorbit_ros.nodes.support.group PLAN.json DESCRIPTOR` does."""
+    plan = ProcessPlan.from_json(Path(plan_file).read_text(encoding="utf-8"), plan_file)
+    return run_group(plan, Heartbeat(int(descriptor)))
+
+
+if __name__ == "__main__":
+    sys.exit(run_plan(*sys.argv[1:]))

@@ -1,0 +1,72 @@
+"""Follows the reference lanes of a camera: topics `reference/lane_<k>/{centerline,left,right}`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from nav_msgs.msg import Path
+from numpy.typing import NDArray
+
+from geoorbit_ros.conversions import decode_path
+from geoorbit_ros.core.errors import GeoOrbitError
+from geoorbit_ros.core.lanes import Lane
+from geoorbit_ros.nodes.support.base import GeoOrbitNode
+from geoorbit_ros.nodes.support.qos import LATCHED
+
+PERIOD_S = 1.0
+_TYPE = "nav_msgs/msg/Path"
+_ROLES = ("centerline", "left", "right")
+_TOPIC = re.compile(r"/lane_(\d+)/(centerline|left|right)")
+
+
+class ReferenceListener:
+    """Subscribes lanes as they appear; an empty path takes one away.
+
+    Args:
+        node: Subscribes, and is told about paths that can't be used.
+        on_change: Called with all complete lanes by number whenever one has changed.
+    """
+
+    def __init__(
+        self, node: GeoOrbitNode[Any], on_change: Callable[[dict[int, Lane]], None]
+    ) -> None:
+        self._node, self._on_change = node, on_change
+        self._prefix = node.resolve_topic_name("reference")
+        self._known: set[str] = set()
+        self._lines: dict[int, dict[str, NDArray[np.float64]]] = {}
+        self._look()
+        node.create_timer(PERIOD_S, self._look)
+
+    def _look(self) -> None:
+        for topic, types in self._node.get_topic_names_and_types():
+            match = _TOPIC.fullmatch(topic.removeprefix(self._prefix))
+            if match is None or topic in self._known or types != [_TYPE]:
+                continue
+            self._known.add(topic)
+            self._subscribe(topic, int(match[1]), match[2])
+
+    def _subscribe(self, topic: str, number: int, role: str) -> None:
+        def receive(cdr: bytes) -> None:
+            try:
+                self._lines.setdefault(number, {})[role] = decode_path(cdr, topic)[1]
+            except GeoOrbitError as error:
+                self._node.diagnostics.refuse(error)
+                return
+            lanes = {k: lane for k, lines in self._lines.items() if (lane := _lane(k, lines))}
+            self._on_change(lanes)
+
+        self._node.create_subscription(Path, topic, receive, LATCHED, raw=True)
+
+
+def _lane(number: int, lines: dict[str, NDArray[np.float64]]) -> Lane | None:
+    """The lane, once all three lines are there and fit each other."""
+    shapes = {lines[role].shape for role in _ROLES if role in lines}
+    if set(lines) != set(_ROLES) or len(shapes) != 1 or len(lines["left"]) < 2:
+        return None
+    width_m = float(np.mean(np.hypot(*(lines["left"] - lines["right"]).T)))
+    nan = float("nan")
+    center, left, right = (lines[role] for role in _ROLES)
+    return Lane(number, center, left, right, width_m, nan, 1.0, "confirmed", nan)

@@ -1,0 +1,1 @@
+"""What a roadside camera over a synthetic road would show: images with exact boxes."""

@@ -1,0 +1,251 @@
+"""The three drawings of the page: the camera's image, the road from above, lateral histograms."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.calibration.homography import Homography
+from geoorbit_ros.core.lanes import CrossSection, Lane, LaneMap
+from geoorbit_ros.report.lane_drawing import (
+    DIRECTION_GAP_DEG,
+    direction_groups,
+    draw_lanes,
+    draw_paths,
+)
+from geoorbit_ros.report.svg import Canvas, nice_step
+from geoorbit_ros.report.words import compass
+
+IMAGE_WIDTH_PX = 1040.0
+
+
+def image_view(
+    lane_map: LaneMap,
+    paths: Sequence[NDArray[np.float64]],
+    homography: Homography,
+    image_size: tuple[int, int],
+) -> Canvas:
+    """Draw what lies on the road over an empty image of the camera's size."""
+    scale = IMAGE_WIDTH_PX / image_size[0]
+    size = np.array(image_size) * scale
+    canvas = Canvas(size[0], size[1], "The camera's view with lanes and the paths of the vehicles")
+    colour = direction_groups(lane_map.lanes)
+
+    def to_pixel(local_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        return homography.to_pixel(local_m) * scale
+
+    def inside(pixel: NDArray[np.float64]) -> NDArray[np.bool_]:
+        return np.asarray(np.all((pixel > 14) & (pixel < size - 14), axis=1))
+
+    canvas.open_clip("image-clip", 0, 0, size[0], size[1])
+    _horizon(canvas, homography, scale, size)
+    draw_paths(canvas, paths, to_pixel, lane_map.lanes, colour)
+    if len(lane_map.visible_m):
+        canvas.line(to_pixel(np.vstack((lane_map.visible_m, lane_map.visible_m[:1]))), "limit")
+    draw_lanes(canvas, lane_map.lanes, to_pixel, colour, inside)
+    for k, (u, v) in enumerate(homography.points.pixel * scale):
+        css = "control" if homography.residual.inlier[k] else "control rejected"
+        tip = f"Control point, line {homography.points.line_number[k]}"
+        canvas.raw(
+            f'<path d="M{u - 4:.1f} {v:.1f}h8M{u:.1f} {v - 4:.1f}v8" class="{css}">'
+            f"<title>{tip}</title></path>"
+        )
+    canvas.close()
+    return canvas
+
+
+def _horizon(
+    canvas: Canvas, homography: Homography, scale: float, size: NDArray[np.float64]
+) -> None:
+    """The line where the road plane ends, when it crosses the image."""
+    a, b, c = homography.matrix[2]
+    if abs(b) < 1e-12:
+        return
+    u = np.array([0.0, size[0] / scale])
+    v = -(a * u + c) / b
+    if np.all((v > 0) & (v * scale < size[1])):
+        canvas.line(np.column_stack((u, v)) * scale, "horizon", "Horizon")
+        canvas.text(size[0] - 10, v[1] * scale - 6, "horizon", "label", "end")
+
+
+MAP_WIDTH_PX = 1040.0
+MIN_HEIGHT_PX, MAX_HEIGHT_PX = 260.0, 760.0
+MAX_STRETCH = 4
+FOOT_PX = 32.0
+"""Room below the road for the scale bar."""
+ELONGATED = 1.6
+"""A road this much longer than wide is turned to lie along the page; others keep north up."""
+
+
+@dataclass(frozen=True, slots=True)
+class MapFrame:
+    """From map metres to pixels of the picture.
+
+    Attributes:
+        turn: (2, 2) rotation that brings the road level.
+        middle_m: (2,) middle of the picture, in turned metres.
+        scale: (2,) pixels per metre along and across the page.
+        size_px: (width, height) of the picture.
+    """
+
+    turn: NDArray[np.float64]
+    middle_m: NDArray[np.float64]
+    scale: NDArray[np.float64]
+    size_px: tuple[float, float]
+
+    def to_pixel(self, local_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(N, 2) pixels of (N, 2) metres."""
+        flat = (local_m @ self.turn.T - self.middle_m) * self.scale * np.array([1.0, -1.0])
+        return np.asarray(flat + np.array(self.size_px) / 2)
+
+    def inside(self, pixel: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which (N, 2) pixels lie in the picture, a margin away from its border."""
+        return np.asarray(np.all((pixel > 14) & (pixel < np.array(self.size_px) - 14), axis=1))
+
+    @property
+    def stretch(self) -> float:
+        """How much wider than true the road is drawn; 1 when to scale."""
+        return float(self.scale[1] / self.scale[0])
+
+
+def fit_map_frame(points_m: NDArray[np.float64]) -> MapFrame:
+    """A frame that holds all of (N, 2) metres, the long way along the page."""
+    centred = points_m - points_m.mean(axis=0)
+    _, extent, axes = np.linalg.svd(centred, full_matrices=False)
+    turn = np.eye(2)
+    elongated = bool(extent[0] > ELONGATED * extent[1])
+    if elongated:
+        along = axes[0] * (1.0 if axes[0, 0] + 1e-6 * axes[0, 1] >= 0 else -1.0)
+        turn = np.array([[along[0], along[1]], [-along[1], along[0]]])
+    flat = points_m @ turn.T
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    span = np.maximum(high - low, 5.0) * 1.04 + 6.0
+    scale = min(MAP_WIDTH_PX / span[0], MAX_HEIGHT_PX / span[1])
+    stretch = 1
+    if elongated:
+        stretch = int(np.clip(MIN_HEIGHT_PX // (scale * span[1]) + 1, 1, MAX_STRETCH))
+    scales = np.array([scale, scale * stretch])
+    height = float(np.clip(span[1] * scales[1], 160.0, MAX_HEIGHT_PX))
+    middle = (low + high) / 2 - np.array([0.0, FOOT_PX / 2 / scales[1]])
+    return MapFrame(turn, middle, scales, (MAP_WIDTH_PX, height + FOOT_PX))
+
+
+def map_view(
+    lane_map: LaneMap, paths: Sequence[NDArray[np.float64]], truth: Sequence[Lane] = ()
+) -> tuple[Canvas, MapFrame, int]:
+    """Draw the map.
+
+    Returns:
+        The picture, its frame, and how many vehicle paths it shows.
+    """
+    lines = [x for lane in lane_map.lanes for x in (lane.left_m, lane.right_m)]
+    lines += [lane.centerline_m for lane in truth]
+    frame = fit_map_frame(np.vstack(lines))
+    canvas = Canvas(*frame.size_px, "Map of the lanes with the paths of the vehicles")
+    colour = direction_groups(lane_map.lanes)
+    canvas.open_clip("map-clip", 0, 0, *frame.size_px)
+    if len(lane_map.visible_m):
+        canvas.area(frame.to_pixel(lane_map.visible_m), "visible")
+    drawn = draw_paths(canvas, paths, frame.to_pixel, lane_map.lanes, colour)
+    for lane in truth:
+        for line in (lane.left_m, lane.right_m):
+            canvas.line(frame.to_pixel(line), "truth")
+        canvas.line(frame.to_pixel(lane.centerline_m), "truth middle", f"True lane {lane.lane_id}")
+    draw_lanes(canvas, lane_map.lanes, frame.to_pixel, colour, frame.inside)
+    canvas.close()
+    _scale_bar(canvas, frame)
+    _north(canvas, frame)
+    return canvas, frame, drawn
+
+
+def _scale_bar(canvas: Canvas, frame: MapFrame) -> None:
+    length = nice_step(frame.size_px[0] / frame.scale[0] / 6, 1)
+    x0, y0 = 16.0, frame.size_px[1] - 16.0
+    x1 = x0 + length * frame.scale[0]
+    canvas.line(np.array([[x0, y0 - 5], [x0, y0], [x1, y0], [x1, y0 - 5]]), "axis")
+    canvas.text((x0 + x1) / 2, y0 - 6, f"{length:g} m", "label", "middle")
+
+
+def _north(canvas: Canvas, frame: MapFrame) -> None:
+    middle = np.array([frame.size_px[0] - 26.0, 30.0])
+    # The compass is not stretched: it shows the direction of north on the level road.
+    north = frame.turn @ np.array([0.0, 1.0]) * np.array([1.0, -1.0])
+    side = np.array([-north[1], north[0]])
+    tip, tail = middle + 16 * north, middle - 10 * north
+    canvas.area(np.stack((tip, tail + 6 * side, middle - 6 * north, tail - 6 * side)), "north")
+    at = middle + 24 * north
+    canvas.text(at[0], at[1] + 4, "N", "label", "middle")
+
+
+SECTION_WIDTH_PX, SECTION_HEIGHT_PX = 1040.0, 220.0
+_LEFT, _RIGHT, _TOP, _BOTTOM = 48.0, 16.0, 26.0, 40.0
+_EMPTY = 0.01
+"""Bins below this share of the highest one are empty road, not worth drawing."""
+
+
+def section_view(section: CrossSection, lane_map: LaneMap) -> Canvas:
+    """Draw one direction's histogram as the driver sees the road, left on the left."""
+    canvas = Canvas(
+        SECTION_WIDTH_PX,
+        SECTION_HEIGHT_PX,
+        f"Traffic across the road towards {compass(section.heading_deg)}",
+    )
+    colour = _colour(section, lane_map)
+    top = max(float(section.density.max(initial=0.0)), 1e-9)
+    used = section.offset_m[section.density > _EMPTY * top]
+    ends = np.concatenate((used, section.peak_m))
+    low, high = (ends.min() - 2.0, ends.max() + 2.0) if len(ends) else (-5.0, 5.0)
+    wide = (SECTION_WIDTH_PX - _LEFT - _RIGHT) / (high - low)
+    base = SECTION_HEIGHT_PX - _BOTTOM
+
+    def x(offset_m: float) -> float:
+        return float(_LEFT + (high - offset_m) * wide)
+
+    step = nice_step(high - low, 12)
+    for tick in np.arange(np.ceil(low / step) * step, high, step):
+        canvas.line(np.array([[x(tick), base], [x(tick), base + 4]]), "axis")
+        canvas.text(x(tick), base + 17, f"{tick + 0.0:g}", "label", "middle")
+    canvas.text(_LEFT, SECTION_HEIGHT_PX - 6, "← driver's left", "label")
+    canvas.text(
+        SECTION_WIDTH_PX - _RIGHT, SECTION_HEIGHT_PX - 6, "driver's right →", "label", "end"
+    )
+    middle = (SECTION_WIDTH_PX + _LEFT - _RIGHT) / 2
+    canvas.text(middle, SECTION_HEIGHT_PX - 6, "metres across the road", "label", "middle")
+
+    inside = (section.offset_m >= low) & (section.offset_m <= high)
+    across, density = section.offset_m[inside], section.density[inside]
+    tall = (base - _TOP) / top
+    curve = np.column_stack((_LEFT + (high - across) * wide, base - density * tall))
+    if len(curve) > 1:
+        foot = np.array([[curve[-1, 0], base], [curve[0, 0], base]])
+        canvas.area(np.vstack((curve, foot)), f"histogram d{colour}")
+        canvas.line(curve, f"centerline confirmed d{colour}")
+    canvas.line(np.array([[_LEFT, base], [SECTION_WIDTH_PX - _RIGHT, base]]), "axis")
+    canvas.text(_LEFT - 6, _TOP + 4, f"{top:.2g}", "label", "end")
+    canvas.text(_LEFT - 6, base, "0", "label", "end")
+    canvas.text(_LEFT - 42, 12, "vehicles per metre", "label")
+
+    peaks = np.sort(section.peak_m)[::-1]
+    for k, peak in enumerate(peaks):
+        canvas.line(np.array([[x(peak), _TOP - 6], [x(peak), base]]), "peak")
+        if k:
+            gap = peaks[k - 1] - peak
+            canvas.text(
+                (x(peaks[k - 1]) + x(peak)) / 2, _TOP - 8, f"{gap:.2f} m", "label", "middle"
+            )
+    return canvas
+
+
+def _colour(section: CrossSection, lane_map: LaneMap) -> int:
+    colour = direction_groups(lane_map.lanes)
+    gap = {
+        lane.lane_id: abs((lane.heading_deg - section.heading_deg + 180.0) % 360.0 - 180.0)
+        for lane in lane_map.lanes
+    }
+    nearest = min(gap, key=gap.__getitem__, default=None)
+    if nearest is None or gap[nearest] > DIRECTION_GAP_DEG:
+        return 5
+    return colour[nearest]

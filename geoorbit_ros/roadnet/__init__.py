@@ -1,0 +1,1 @@
+"""Road networks: SUMO network files, lanes as arrays, netconvert, reference lanes."""

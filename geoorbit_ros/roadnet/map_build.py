@@ -1,0 +1,202 @@
+"""OpenStreetMap, or a network there is, to a SUMO network and OpenDRIVE, by SUMO's netconvert."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.roadnet.errors import RoadNetworkError
+from geoorbit_ros.roadnet.netconvert import drop_header, last_line, netconvert_path
+from geoorbit_ros.roadnet.network import RoadNetwork, load_network
+from geoorbit_ros.roadnet.network_file import parse_xml
+from geoorbit_ros.roadnet.reproject import write_reprojected
+
+NETWORK, OPENDRIVE, RECORD = "network.net.xml", "road.xodr", "map.json"
+LANE_WIDTH_M = 3.5
+"""Between the 3.66 m of US freeways (AASHTO) and the 3.25 m of European city streets."""
+TIME_LIMIT_S = 600.0
+_OSM_EXPECTED = "an OpenStreetMap extract (.osm or .osm.gz)"
+_OSM_OPTIONS = (
+    "--geometry.remove=true",
+    "--roundabouts.guess=true",
+    "--ramps.guess=true",
+    "--junctions.join=true",
+    "--no-turnarounds=true",
+    "--keep-edges.by-vclass=passenger",
+    "--output.street-names=true",
+    "--output.original-names=true",
+    "--offset.disable-normalization=true",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class BuiltMap:
+    """What a build gave.
+
+    Attributes:
+        network: The network, its coordinates being the map frame at its datum.
+        opendrive: Roads in the OpenDRIVE file.
+        warnings: What netconvert had to say, one sentence each.
+    """
+
+    network: RoadNetwork
+    opendrive: int
+    warnings: tuple[str, ...]
+
+
+def build_from_osm(
+    area: Path, folder: Path, datum: Datum | None = None, lane_width_m: float = LANE_WIDTH_M
+) -> BuiltMap:
+    """Write network, OpenDRIVE and record of an OpenStreetMap extract into a folder.
+
+    Args:
+        area: The extract.
+        folder: Where the files go.
+        datum: Origin of the coordinates; default: the middle of the extract's roads.
+        lane_width_m: For lanes whose width the map doesn't state.
+
+    Raises:
+        RoadNetworkError: No map, no road in it, or netconvert refuses it.
+        NetworkError: SUMO is not installed.
+    """
+    datum = datum or _middle_of_roads(area)
+    source = area
+    if area.suffix == ".gz":  # netconvert reads gzip by its name .osm.xml.gz alone
+        source = folder / "area.osm.xml"
+        source.write_bytes(gzip.decompress(area.read_bytes()))
+    net = folder / NETWORK
+    options = [
+        *_OSM_OPTIONS,
+        f"--default.lanewidth={lane_width_m:g}",
+        f"--proj={datum.proj_string}",
+    ]
+    warnings = netconvert([f"--osm-files={source}", f"--output-file={net}", *options], str(area))
+    if source != area:
+        source.unlink()
+    return _finish(folder, datum, area, options, warnings)
+
+
+def build_from_network(net: Path, folder: Path, datum: Datum | None = None) -> BuiltMap:
+    """Write a network that there is, moved into the map frame, its OpenDRIVE and the record.
+
+    Args:
+        net: A SUMO network with a projection.
+        folder: Where the files go.
+        datum: Origin of the coordinates; default: the middle of the network.
+
+    Raises:
+        RoadNetworkError: The network can't be used, or netconvert refuses it.
+        NetworkError: SUMO is not installed.
+    """
+    network = load_network(net, datum)
+    write_reprojected(network, folder / NETWORK)
+    return _finish(folder, network.datum, net, [], ())
+
+
+def _finish(
+    folder: Path, datum: Datum, source: Path, options: list[str], warnings: tuple[str, ...]
+) -> BuiltMap:
+    network = load_network(folder / NETWORK, datum)
+    opendrive = folder / OPENDRIVE
+    export = ["--opendrive-output.straight-threshold=0.00000001"]
+    warnings += netconvert(
+        [f"--sumo-net-file={folder / NETWORK}", f"--opendrive-output={opendrive}", *export],
+        str(source),
+    )
+    roads = _check_opendrive(opendrive, datum)
+    for file in (folder / NETWORK, opendrive):
+        drop_header(file)
+    record = {
+        "source": source.name,
+        "datum": {"latitude_deg": datum.latitude_deg, "longitude_deg": datum.longitude_deg},
+        "projection": datum.proj_string,
+        "netconvert": {
+            "version": _version(),
+            "network_options": options,
+            "opendrive_options": export,
+            "warnings": list(warnings),
+        },
+        "lanes": int(np.count_nonzero(~network.internal)),
+        "edges": len({e for e, i in zip(network.edge_id, network.internal, strict=True) if not i}),
+    }
+    text = json.dumps(record, indent=2, ensure_ascii=False)
+    (folder / RECORD).write_text(text + "\n", encoding="utf-8")
+    return BuiltMap(network, roads, warnings)
+
+
+def _middle_of_roads(area: Path) -> Datum:
+    """The middle of the nodes that drivable ways use, to seven decimals.
+
+    Raises:
+        RoadNetworkError: No map, or no road in it.
+    """
+    root = parse_xml(area, _OSM_EXPECTED).getroot()
+    if root.tag != "osm":
+        raise RoadNetworkError(str(area), f"a file of <{root.tag}>", _OSM_EXPECTED)
+    used = {
+        node.get("ref")
+        for way in root.iter("way")
+        if any(tag.get("k") == "highway" for tag in way.iter("tag"))
+        for node in way.iter("nd")
+    }
+    try:
+        places = np.array(
+            [
+                (float(node.attrib["lat"]), float(node.attrib["lon"]))
+                for node in root.iter("node")
+                if node.get("id") in used
+            ]
+        )
+    except (KeyError, ValueError) as error:
+        raise RoadNetworkError(str(area), f"a node without {error}", _OSM_EXPECTED) from error
+    if not len(places):
+        raise RoadNetworkError(str(area), "no road (way with the tag highway)", _OSM_EXPECTED)
+    latitude, longitude = 0.5 * (places.min(axis=0) + places.max(axis=0))
+    return Datum(round(float(latitude), 7), round(float(longitude), 7))
+
+
+def netconvert(arguments: list[str], place: str) -> tuple[str, ...]:
+    """Run netconvert (arguments without the program); its warnings.
+
+    Raises:
+        RoadNetworkError: It ends with an error, or not at all.
+    """
+    try:
+        done = subprocess.run(
+            [netconvert_path(), *arguments], capture_output=True, text=True, timeout=TIME_LIMIT_S
+        )
+    except subprocess.TimeoutExpired as error:
+        found = f"netconvert still at work after {TIME_LIMIT_S:g} s"
+        raise RoadNetworkError(place, found, "a smaller area") from error
+    said = [line.strip() for line in done.stderr.splitlines()]
+    if done.returncode != 0:
+        errors = [line.removeprefix("Error: ") for line in said if line.startswith("Error:")]
+        found = f"netconvert says: {errors[0][:300] if errors else last_line(done.stderr)}"
+        raise RoadNetworkError(place, found, "a map that netconvert takes")
+    return tuple(line.removeprefix("Warning: ") for line in said if line.startswith("Warning:"))
+
+
+def _check_opendrive(path: Path, datum: Datum) -> int:
+    """Make sure of the georeference that CARLA reads; the number of roads outside junctions.
+
+    CARLA 0.9.16 takes `+proj=tmerc` with `lat_0` and `lon_0`; of UTM it makes another place.
+    """
+    root = parse_xml(path, "the OpenDRIVE file that netconvert wrote").getroot()
+    reference = root.findtext("header/geoReference", "").strip()
+    if reference != datum.proj_string:
+        found = f"georeference '{reference}'"
+        raise RoadNetworkError(str(path), found, f"'{datum.proj_string}'")
+    return sum(road.get("junction") == "-1" for road in root.iter("road"))
+
+
+def _version() -> str:
+    done = subprocess.run(
+        [netconvert_path(), "--version"], capture_output=True, text=True, timeout=TIME_LIMIT_S
+    )
+    return done.stdout.splitlines()[0].strip() if done.stdout else "unknown"

@@ -1,0 +1,198 @@
+"""A road network as typed arrays in the map frame."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pyproj import CRS, Transformer
+from pyproj.exceptions import ProjError
+
+from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.core.errors import CalibrationError
+from geoorbit_ros.roadnet.errors import RoadNetworkError
+from geoorbit_ros.roadnet.network_file import LaneRecord, read_network_file
+from geoorbit_ros.roadnet.plane import NetworkPlane
+
+NONE = -1
+"""No lane, where a lane's number is expected."""
+
+
+@dataclass(frozen=True)
+class RoadNetwork:
+    """All lanes of a network that road vehicles may use, numbered from 0 in the file's order.
+
+    Attributes:
+        path: The network file.
+        datum: Origin of the map frame.
+        plane: The way between the map frame and the network's own coordinates.
+        lane_id: (L,) SUMO's ids.
+        edge_id: (L,) of the edge of each lane.
+        index: (L,) place in the edge, 0 the rightmost.
+        internal: (L,) whether the lane crosses a junction.
+        width_m: (L,).
+        speed_mps: (L,) speed limits.
+        length_m: (L,) length of the centre line in the map frame.
+        left: (L,) next lane to the left in the same edge, or `NONE`.
+        right: (L,) next lane to the right.
+        start: (L + 1,) points of lane k are `point_m[start[k]:start[k + 1]]`.
+        point_m: (P, 2) centre lines in travel order, map frame.
+        successors: (L,) lanes that each lane leads into, internal ones included.
+    """
+
+    path: Path
+    datum: Datum
+    plane: NetworkPlane
+    lane_id: tuple[str, ...]
+    edge_id: tuple[str, ...]
+    index: NDArray[np.int64]
+    internal: NDArray[np.bool_]
+    width_m: NDArray[np.float64]
+    speed_mps: NDArray[np.float64]
+    length_m: NDArray[np.float64]
+    left: NDArray[np.int64]
+    right: NDArray[np.int64]
+    start: NDArray[np.int64]
+    point_m: NDArray[np.float64]
+    successors: tuple[tuple[int, ...], ...]
+
+    def __len__(self) -> int:
+        return len(self.lane_id)
+
+    def arc(self, lane: int) -> NDArray[np.float64]:
+        """(K,) distance of each point of a lane from its beginning, along the lane; a view."""
+        return self._arc_m[self.start[lane] : self.start[lane + 1]]
+
+    def line(self, lane: int) -> NDArray[np.float64]:
+        """(K, 2) centre line of one lane, a view."""
+        return self.point_m[self.start[lane] : self.start[lane + 1]]
+
+    def place_on(self, lane: int, xy: NDArray[np.float64]) -> float:
+        """Metres along a lane's centre line to the point of it nearest to `xy` (2,)."""
+        line, arc = self.line(lane), self.arc(lane)
+        step = np.diff(line, axis=0)
+        length = np.maximum(np.hypot(step[:, 0], step[:, 1]), 1e-9)
+        along = np.clip(((xy - line[:-1]) * step).sum(axis=1) / length, 0.0, length)
+        away = np.hypot(*(line[:-1] + (along / length)[:, None] * step - xy).T)
+        k = int(np.argmin(away))
+        return float(arc[k] + along[k])
+
+    @cached_property
+    def _arc_m(self) -> NDArray[np.float64]:
+        step = np.hypot(*np.diff(self.point_m, axis=0).T)
+        arc = np.append(0.0, np.cumsum(step))
+        return np.asarray(arc - np.repeat(arc[self.start[:-1]], np.diff(self.start)))
+
+    @cached_property
+    def number(self) -> dict[str, int]:
+        """Lane number by SUMO's lane id."""
+        return {name: k for k, name in enumerate(self.lane_id)}
+
+    @cached_property
+    def predecessors(self) -> tuple[tuple[int, ...], ...]:
+        """(L,) lanes that lead into each lane."""
+        before: list[list[int]] = [[] for _ in self.lane_id]
+        for lane, nexts in enumerate(self.successors):
+            for after in nexts:
+                before[after].append(lane)
+        return tuple(tuple(lanes) for lanes in before)
+
+
+def load_network(path: str | Path, datum: Datum | None = None) -> RoadNetwork:
+    """Read a SUMO network and lay it into the map frame.
+
+    Args:
+        path: A `.net.xml` or `.net.xml.gz` file with a projection.
+        datum: Origin of the map frame; default: where the network's own coordinates are zero, if
+            they are such a frame (`geoorbit map build` makes them so), else its middle.
+
+    Raises:
+        RoadNetworkError: A file that can't be used; in particular one without projection, because
+            nothing says where on earth it is.
+    """
+    content = read_network_file(path)
+    if not content.projection:
+        raise RoadNetworkError(
+            str(path),
+            "a network without projection, anywhere on earth",
+            "one with projParameter in its location (geoorbit map build makes it)",
+        )
+    points = np.concatenate([lane.shape for lane in content.lanes])
+    low, high = points.min(axis=0), points.max(axis=0)
+    bounds = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+    if datum is None and content.net_offset == (0.0, 0.0):
+        datum = _own_datum(content.projection)
+    if datum is None:
+        datum = _middle(content.projection, content.net_offset, 0.5 * (low + high), str(path))
+    plane = NetworkPlane(content.projection, content.net_offset, bounds, datum, str(path))
+    return _assemble(Path(path), datum, plane, content.lanes, content.links)
+
+
+def _own_datum(projection: str) -> Datum | None:
+    """The datum whose map frame a projection is; None for any other projection."""
+    values = dict(re.findall(r"\+(lat_0|lon_0)=(\S+)", projection))
+    try:
+        datum = Datum(float(values["lat_0"]), float(values["lon_0"]))
+    except (KeyError, ValueError, CalibrationError):
+        return None
+    return datum if datum.proj_string == projection else None
+
+
+def _middle(
+    projection: str, net_offset: tuple[float, float], xy: NDArray[np.float64], place: str
+) -> Datum:
+    try:
+        way = Transformer.from_crs(CRS(projection), "EPSG:4326", always_xy=True)
+        longitude, latitude = way.transform(
+            xy[0] - net_offset[0], xy[1] - net_offset[1], errcheck=True
+        )
+    except ProjError as error:
+        expected = "a PROJ definition such as +proj=utm +zone=16"
+        raise RoadNetworkError(place, f"projection '{projection}'", expected) from error
+    # Seven decimals are a centimetre: a datum that can be written down.
+    return Datum(round(float(latitude), 7), round(float(longitude), 7))
+
+
+def _assemble(
+    path: Path,
+    datum: Datum,
+    plane: NetworkPlane,
+    lanes: tuple[LaneRecord, ...],
+    links: tuple[tuple[str, str], ...],
+) -> RoadNetwork:
+    number = {lane.lane_id: k for k, lane in enumerate(lanes)}
+    by_place = {(lane.edge_id, lane.index): k for k, lane in enumerate(lanes)}
+    successors: list[list[int]] = [[] for _ in lanes]
+    for source, target in links:
+        if number[target] not in successors[number[source]]:
+            successors[number[source]].append(number[target])
+    start = np.append(0, np.cumsum([len(lane.shape) for lane in lanes])).astype(np.int64)
+    point_m = plane.to_map.points(np.concatenate([lane.shape for lane in lanes]))
+    step = np.hypot(*np.diff(point_m, axis=0).T)
+    arc = np.append(0.0, np.cumsum(step))
+    length = arc[start[1:] - 1] - arc[start[:-1]]
+
+    def beside(shift: int) -> NDArray[np.int64]:
+        return np.array([by_place.get((e.edge_id, e.index + shift), NONE) for e in lanes])
+
+    return RoadNetwork(
+        path=path,
+        datum=datum,
+        plane=plane,
+        lane_id=tuple(lane.lane_id for lane in lanes),
+        edge_id=tuple(lane.edge_id for lane in lanes),
+        index=np.array([lane.index for lane in lanes], dtype=np.int64),
+        internal=np.array([lane.internal for lane in lanes]),
+        width_m=np.array([lane.width_m for lane in lanes]),
+        speed_mps=np.array([lane.speed_mps for lane in lanes]),
+        length_m=length,
+        left=beside(1),
+        right=beside(-1),
+        start=start,
+        point_m=point_m,
+        successors=tuple(tuple(nexts) for nexts in successors),
+    )

@@ -1,0 +1,161 @@
+"""Reads a SUMO network file: lanes, connections, place on earth. No more than the twin needs."""
+
+from __future__ import annotations
+
+import gzip
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree as Xml
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.roadnet.errors import RoadNetworkError
+
+DEFAULT_WIDTH_M = 3.2
+"""SUMO's default, where a lane states no width."""
+_ROAD_CLASSES = frozenset(
+    {"private", "passenger", "taxi", "bus", "coach", "delivery", "truck", "trailer", "motorcycle"}
+)
+_EXPECTED = "a SUMO network (.net.xml or .net.xml.gz)"
+
+
+@dataclass(frozen=True, slots=True)
+class LaneRecord:
+    """One lane as the file states it, in the network's own coordinates.
+
+    Attributes:
+        lane_id: SUMO's id.
+        edge_id: Of the edge that it belongs to.
+        index: 0 is the rightmost.
+        internal: Whether it crosses a junction.
+        speed_mps: Speed limit.
+        width_m: Its width.
+        length_m: Length by SUMO's count, which may differ from the shape's.
+        shape: (K, 2) centre line in travel order, K >= 2.
+    """
+
+    lane_id: str
+    edge_id: str
+    index: int
+    internal: bool
+    speed_mps: float
+    width_m: float
+    length_m: float
+    shape: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkContent:
+    """What a network file holds.
+
+    Attributes:
+        lanes: Lanes that road vehicles may use.
+        links: Lane ids (from, to), through internal lanes where there are any.
+        projection: PROJ definition; empty when the network has none.
+        net_offset: (x, y) added to projected coordinates.
+    """
+
+    lanes: tuple[LaneRecord, ...]
+    links: tuple[tuple[str, str], ...]
+    projection: str
+    net_offset: tuple[float, float]
+
+
+def parse_xml(path: str | Path, expected: str = _EXPECTED) -> Xml.ElementTree[Xml.Element]:
+    """The tree of an XML file, gzipped or not.
+
+    Raises:
+        RoadNetworkError: No such file, or no XML.
+    """
+    file = Path(path)
+    try:
+        data = file.read_bytes()
+        if data[:2] == b"\x1f\x8b":
+            data = gzip.decompress(data)
+        return Xml.ElementTree(Xml.fromstring(data))
+    except OSError as error:
+        found = (error.strerror or str(error)).lower()
+        raise RoadNetworkError(str(path), found, expected) from error
+    except (EOFError, zlib.error) as error:
+        raise RoadNetworkError(str(path), f"broken gzip ({error})", expected) from error
+    except Xml.ParseError as error:
+        raise RoadNetworkError(str(path), f"broken XML ({error})", expected) from error
+
+
+def read_network_file(path: str | Path) -> NetworkContent:
+    """Read a network.
+
+    Raises:
+        RoadNetworkError: No file, no SUMO network, a value that is no number, or no road in it.
+    """
+    place = str(path)
+    root = parse_xml(path).getroot()
+    if root.tag != "net":
+        raise RoadNetworkError(place, f"a file of <{root.tag}>", _EXPECTED)
+    location = root.find("location")
+    values = {} if location is None else location.attrib
+    try:
+        lanes = tuple(_lanes(root))
+        x, y = (float(part) for part in values.get("netOffset", "0,0").split(","))
+    except (ValueError, KeyError) as error:
+        raise RoadNetworkError(place, f"{error}", "numbers and ids as SUMO writes them") from error
+    if not lanes:
+        raise RoadNetworkError(place, "no lane for road vehicles", "a network with roads")
+    projection = values.get("projParameter", "!")
+    return NetworkContent(
+        lanes,
+        tuple(_links(root, {lane.lane_id for lane in lanes})),
+        "" if projection in ("!", "-", ".") else projection,
+        (x, y),
+    )
+
+
+def _lanes(root: Xml.Element) -> list[LaneRecord]:
+    found = []
+    for edge in root.iter("edge"):
+        function = edge.get("function", "normal")
+        if function not in ("normal", "internal", "connector"):
+            continue  # crossings and walking areas
+        for lane in edge.iter("lane"):
+            points = [[float(v) for v in p.split(",")[:2]] for p in lane.attrib["shape"].split()]
+            if not np.isfinite(points).all():
+                raise ValueError(f"a shape of lane '{lane.get('id')}' that is not finite")
+            if not _carries_vehicles(lane) or len(points) < 2:
+                continue
+            found.append(
+                LaneRecord(
+                    lane.attrib["id"],
+                    edge.attrib["id"],
+                    int(lane.attrib["index"]),
+                    function == "internal",
+                    float(lane.attrib["speed"]),
+                    float(lane.get("width", DEFAULT_WIDTH_M)),
+                    float(lane.attrib["length"]),
+                    np.array(points),
+                )
+            )
+    return found
+
+
+def _carries_vehicles(lane: Xml.Element) -> bool:
+    allow, disallow = lane.get("allow"), lane.get("disallow")
+    if allow is not None:
+        return allow == "all" or not _ROAD_CLASSES.isdisjoint(allow.split())
+    return disallow is None or not (disallow == "all" or _ROAD_CLASSES.issubset(disallow.split()))
+
+
+def _links(root: Xml.Element, known: set[str]) -> list[tuple[str, str]]:
+    """Each connection as two links where it passes an internal lane that is in the file.
+
+    The file also lists the connections from internal lanes on, so each is taken up to its `via`.
+    """
+    links = []
+    for c in root.iter("connection"):
+        source, target = f"{c.get('from')}_{c.get('fromLane')}", f"{c.get('to')}_{c.get('toLane')}"
+        via = c.get("via", "")
+        for end in (via,) if via in known else (target,):
+            if source in known and end in known:
+                links.append((source, end))
+    return links

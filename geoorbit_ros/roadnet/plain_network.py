@@ -1,0 +1,310 @@
+"""A SUMO network as plain XML, edge by edge editable, and back through netconvert.
+
+Changed edges and connections go to files of their own, `patch.edg.xml` and `patch.con.xml`; what is
+left of the network to `base.….xml`. netconvert takes both, and the patch can be read and kept.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree as Xml
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.roadnet.errors import RoadNetworkError
+from geoorbit_ros.roadnet.map_build import netconvert
+from geoorbit_ros.roadnet.network_file import DEFAULT_WIDTH_M, parse_xml
+
+BASE, PATCH = "base", "patch"
+_PARTS = {"nod": "node", "edg": "edge", "con": "connection", "tll": "tllogic"}
+MEET_M = 40.0
+"""Over a junction a lane goes on within this."""
+MEET_SHARE = 0.6
+"""A lane goes on to one that begins less than this share of its width beside it."""
+MEET_RAD = np.radians(30.0)
+END_M = 15.0
+"""The direction of a lane's end is taken over this: single points are noise."""
+_PLAIN = "the plain XML that netconvert wrote"
+
+
+@dataclass(slots=True)
+class LaneEdit:
+    """A lane that can be changed.
+
+    Attributes:
+        origin: Its index in the unchanged edge; None for a new lane.
+        shape_m: (K, 2) centre line in travel order, in the network's own coordinates.
+        width_m: Its width.
+        rules: What else the file says about it: speed, who may use it.
+    """
+
+    origin: int | None
+    shape_m: NDArray[np.float64]
+    width_m: float
+    rules: dict[str, str]
+
+
+@dataclass(slots=True)
+class EdgeEdit:
+    """An edge that can be changed: lanes from right to left, and whether it has been turned."""
+
+    edge_id: str
+    lanes: list[LaneEdit]
+    turned: bool = False
+
+    def turn(self) -> None:
+        """Make all lanes run the other way."""
+        self.turned = not self.turned
+        for lane in self.lanes:
+            lane.shape_m = lane.shape_m[::-1]
+        self.lanes.reverse()
+
+
+class PlainNetwork:
+    """The plain XML of a network in a folder.
+
+    Args:
+        net: The network.
+        folder: Where the plain files go.
+
+    Raises:
+        RoadNetworkError: netconvert refuses the network.
+    """
+
+    def __init__(self, net: Path, folder: Path) -> None:
+        self._net, self._folder = net, folder
+        self.options = ["--precision", "4", "--plain-output.lanes", "true"]
+        netconvert(
+            [f"--sumo-net-file={net}", f"--plain-output-prefix={folder / BASE}", *self.options],
+            str(net),
+        )
+        self._root = {part: parse_xml(self._file(BASE, part), _PLAIN).getroot() for part in _PARTS}
+        self._edges = {e.attrib["id"]: e for e in self._root["edg"].findall("edge")}
+        self._lanes = _lanes_of(net)
+        self._outlines = _outlines_of(net)
+        self.changed: dict[str, EdgeEdit] = {}
+
+    def edge(self, edge_id: str) -> EdgeEdit:
+        """An edge to change."""
+        if edge_id not in self.changed:
+            self.changed[edge_id] = EdgeEdit(edge_id, [self._lane(a) for a in self._of(edge_id)])
+        return self.changed[edge_id]
+
+    def write(self, net: Path) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Make the changed network; what netconvert warned of, and its options.
+
+        Raises:
+            RoadNetworkError: netconvert refuses the changes.
+        """
+        self._split_edges()
+        self._split_connections()
+        self._keep_junctions()
+        files = {
+            "node": [self._file(BASE, "nod")],
+            "edge": [self._file(BASE, "edg"), self._file(PATCH, "edg")],
+            "connection": [self._file(BASE, "con"), self._file(PATCH, "con")],
+            "tllogic": [self._file(BASE, "tll")],
+        }
+        options = [
+            f"--configuration-file={self._folder / BASE}.netccfg",
+            *(f"--{kind}-files={','.join(map(str, paths))}" for kind, paths in files.items()),
+            "--plain-output.lanes=false",
+            "--precision=3",
+        ]
+        warnings = netconvert([*options, f"--output-file={net}"], str(self._net))
+        return warnings, tuple(option.replace(f"{self._folder}/", "") for option in options)
+
+    def _file(self, stem: str, part: str) -> Path:
+        return self._folder / f"{stem}.{part}.xml"
+
+    def _of(self, edge_id: str) -> list[dict[str, str]]:
+        if edge_id not in self._edges or edge_id not in self._lanes:
+            raise RoadNetworkError(str(self._net), f"no edge '{edge_id}'", "an edge of the network")
+        return self._lanes[edge_id]
+
+    def _lane(self, attributes: dict[str, str]) -> LaneEdit:
+        keep = ("speed", "allow", "disallow", "changeLeft", "changeRight", "type")
+        shape = [[float(v) for v in p.split(",")[:2]] for p in attributes["shape"].split()]
+        return LaneEdit(
+            int(attributes["index"]),
+            np.array(shape),
+            float(attributes.get("width", DEFAULT_WIDTH_M)),
+            {name: attributes[name] for name in keep if name in attributes},
+        )
+
+    def _split_edges(self) -> None:
+        base, patch = copy.deepcopy(self._root["edg"]), Xml.Element("edges")
+        if (place := base.find("location")) is not None:
+            patch.append(place)
+        for element in base.findall("edge"):
+            edit = self.changed.get(element.attrib["id"])
+            if edit is not None:
+                base.remove(element)
+                patch.append(_edge_element(element, edit))
+        self._save(base, BASE, "edg")
+        self._save(patch, PATCH, "edg")
+
+    def _split_connections(self) -> None:
+        base, patch = copy.deepcopy(self._root["con"]), Xml.Element("connections")
+        touched = {e for e in self._edges if e in self.changed} | {
+            c.attrib["from"] for c in base if c.get("to") in self.changed
+        }
+        touched |= {a for a, b in self._meeting() if a in self.changed or b in self.changed}
+        kept: dict[tuple[str, str, str, str], dict[str, str]] = {}
+        for c in base.findall("connection"):
+            if c.attrib["from"] in touched:
+                base.remove(c)
+                for key, rest in self._renumbered(c).items():
+                    kept[key] = rest
+        for key in self._grown():
+            kept.setdefault(key, {})
+        for (a, b, i, j), rest in kept.items():
+            Xml.SubElement(
+                patch, "connection", {"from": a, "to": b, "fromLane": i, "toLane": j, **rest}
+            )
+        for edge in sorted(touched - {a for a, *_ in kept}):
+            Xml.SubElement(patch, "connection", {"from": edge})  # none, and none to be guessed
+        self._save(base, BASE, "con")
+        self._save(patch, PATCH, "con")
+        signals = copy.deepcopy(self._root["tll"])
+        for c in signals.findall("connection"):
+            if c.get("from") in touched:
+                signals.remove(c)  # its number may be another's now; netconvert counts anew
+        self._save(signals, BASE, "tll")
+
+    def _keep_junctions(self) -> None:
+        """Junctions at changed edges keep the outlines they have.
+
+        netconvert would compute them anew: where edges meet at a small angle, some decimetres to
+        the side decide over some tens of metres of junction, which the edges lose.
+        """
+        nodes = copy.deepcopy(self._root["nod"])
+        ends = {self._edges[e].attrib[end] for e in self.changed for end in ("from", "to")}
+        for node in nodes.findall("node"):
+            name = node.attrib["id"]
+            if name in ends and name in self._outlines:
+                node.set("shape", self._outlines[name])
+        self._save(nodes, BASE, "nod")
+
+    def _renumbered(self, c: Xml.Element) -> dict[tuple[str, str, str, str], dict[str, str]]:
+        """A connection with the new numbers of its lanes; none where a lane is gone."""
+        a, b = c.attrib["from"], c.get("to")
+        if b is None or c.get("fromLane") is None:
+            return {}
+        i = self._place(a, int(c.attrib["fromLane"]))
+        j = self._place(b, int(c.attrib["toLane"]))
+        if i is None or j is None:
+            return {}
+        skip = {"from", "to", "fromLane", "toLane", "shape", "linkIndex", "linkIndex2"}
+        rest = {name: value for name, value in c.attrib.items() if name not in skip}
+        return {(a, b, str(i), str(j)): rest}
+
+    def _place(self, edge_id: str, index: int) -> int | None:
+        edit = self.changed.get(edge_id)
+        if edit is None:
+            return index
+        if edit.turned:
+            return None
+        return next((k for k, lane in enumerate(edit.lanes) if lane.origin == index), None)
+
+    def _grown(self) -> list[tuple[str, str, str, str]]:
+        """Connections of new lanes and turned edges, where lanes go on straight."""
+        found = []
+        for a, b in self._meeting():
+            for i, one in enumerate(self._now(a)):
+                for j, other in enumerate(self._now(b)):
+                    new = self._is_new(a, one) or self._is_new(b, other)
+                    if new and _goes_on(one, other):
+                        found.append((a, b, str(i), str(j)))
+        return found
+
+    def _meeting(self) -> list[tuple[str, str]]:
+        """Pairs of edges, one ending where the other begins, at least one of them changed."""
+        ends = {e: self._ends(e) for e in self._edges if e in self._lanes}
+        begins: dict[str, list[str]] = {}
+        for edge_id, (first, _) in ends.items():
+            begins.setdefault(first, []).append(edge_id)
+        return [
+            (a, b)
+            for a, (_, last) in ends.items()
+            for b in begins.get(last, [])
+            if a != b and (a in self.changed or b in self.changed)
+        ]
+
+    def _ends(self, edge_id: str) -> tuple[str, str]:
+        element = self._edges[edge_id]
+        ends = (element.attrib["from"], element.attrib["to"])
+        edit = self.changed.get(edge_id)
+        return ends[::-1] if edit is not None and edit.turned else ends
+
+    def _now(self, edge_id: str) -> list[LaneEdit]:
+        edit = self.changed.get(edge_id)
+        return edit.lanes if edit else [self._lane(a) for a in self._lanes[edge_id]]
+
+    def _is_new(self, edge_id: str, lane: LaneEdit) -> bool:
+        edit = self.changed.get(edge_id)
+        return edit is not None and (edit.turned or lane.origin is None)
+
+    def _save(self, root: Xml.Element, stem: str, part: str) -> None:
+        Xml.indent(root)
+        tree = Xml.ElementTree(root)
+        tree.write(self._file(stem, part), encoding="utf-8", xml_declaration=True)
+
+
+def _lanes_of(net: Path) -> dict[str, list[dict[str, str]]]:
+    """Attributes of all lanes by edge, in the order of their indices."""
+    found: dict[str, list[dict[str, str]]] = {}
+    for edge in parse_xml(net).getroot().iter("edge"):
+        if edge.get("function", "normal") == "normal":
+            lanes = [dict(lane.attrib) for lane in edge.iter("lane")]
+            found[edge.attrib["id"]] = sorted(lanes, key=lambda a: int(a["index"]))
+    return found
+
+
+def _outlines_of(net: Path) -> dict[str, str]:
+    """Outlines of the junctions by their ids; a dead end has a line, which is none."""
+    junctions = parse_xml(net).getroot().iter("junction")
+    shapes = {j.attrib["id"]: j.get("shape", "") for j in junctions}
+    return {name: shape for name, shape in shapes.items() if len(shape.split()) >= 3}
+
+
+def _edge_element(element: Xml.Element, edit: EdgeEdit) -> Xml.Element:
+    attributes = dict(element.attrib)
+    attributes["numLanes"] = str(len(edit.lanes))
+    if edit.turned:
+        attributes["from"], attributes["to"] = attributes["to"], attributes["from"]
+        if "shape" in attributes:
+            attributes["shape"] = " ".join(reversed(attributes["shape"].split()))
+    new = Xml.Element("edge", attributes)
+    for param in element.findall("param"):
+        new.append(param)
+    for index, lane in enumerate(edit.lanes):
+        Xml.SubElement(
+            new,
+            "lane",
+            {**lane.rules, "index": str(index), "width": f"{lane.width_m:.2f}"},
+            shape=" ".join(f"{x:.4f},{y:.4f}" for x, y in lane.shape_m),
+        )
+    return new
+
+
+def _goes_on(one: LaneEdit, other: LaneEdit) -> bool:
+    """Whether a lane leads straight into another."""
+    heading = _heading(one.shape_m[::-1]) + np.pi
+    turn = (_heading(other.shape_m) - heading + np.pi) % (2 * np.pi) - np.pi
+    chord = heading + 0.5 * turn  # of a bend as much as of a straight road
+    gap = other.shape_m[0] - one.shape_m[-1]
+    along = gap[0] * np.cos(chord) + gap[1] * np.sin(chord)
+    across = gap[1] * np.cos(chord) - gap[0] * np.sin(chord)
+    reach = MEET_SHARE * min(one.width_m, other.width_m)
+    return bool(-5.0 <= along <= MEET_M and abs(across) <= reach and abs(turn) <= MEET_RAD)
+
+
+def _heading(line: NDArray[np.float64]) -> float:
+    """Direction of a line over its first `END_M`."""
+    away = np.hypot(*(line - line[0]).T)
+    end = line[int(np.argmax(away >= END_M))] if away.max() >= END_M else line[-1]
+    return float(np.arctan2(*(end - line[0])[::-1]))

@@ -1,0 +1,120 @@
+"""Along a network: from edge to edge, and from a place in a lane to the place some metres ahead."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.roadnet.network import RoadNetwork
+
+MAX_EDGES = 50
+"""No camera misses more edges between two places that it sees."""
+
+
+class Ways:
+    """Ways between edges over edges that no camera saw.
+
+    Args:
+        network: The roads.
+    """
+
+    def __init__(self, network: RoadNetwork) -> None:
+        self._network = network
+        self._lanes: dict[str, list[int]] = {}
+        self._after: dict[str, set[str]] = {}
+        for lane in range(len(network)):
+            edge = network.edge_id[lane]
+            self._lanes.setdefault(edge, []).append(lane)
+            for after in network.successors[lane]:
+                self._after.setdefault(edge, set()).add(network.edge_id[after])
+        self._internal = {
+            edge for edge, inside in zip(network.edge_id, network.internal, strict=True) if inside
+        }
+
+    def complete(self, edges: list[str]) -> list[str] | None:
+        """The edges with those between them; None where no way leads on."""
+        way = edges[:1]
+        for target in edges[1:]:
+            between = self._shortest(way[-1], target)
+            if between is None:
+                return None
+            way += [edge for edge in between if edge not in self._internal]
+        return way
+
+    def branches(self, edge: str) -> dict[str, int]:
+        """The edges after one, beyond the junction, and by how many lanes each is reached."""
+        found: dict[str, int] = {}
+        waiting = [k for lane in self._lanes[edge] for k in self._network.successors[lane]]
+        while waiting:
+            lane = waiting.pop()
+            if self._network.internal[lane]:
+                waiting += self._network.successors[lane]
+            else:
+                after = self._network.edge_id[lane]
+                found[after] = found.get(after, 0) + 1
+        return dict(sorted(found.items()))
+
+    def _shortest(self, begin: str, end: str) -> list[str] | None:
+        waiting = deque([[begin]])
+        seen = {begin}
+        while waiting:
+            way = waiting.popleft()
+            if way[-1] == end:
+                return way[1:]
+            if len(way) <= MAX_EDGES:
+                for edge in sorted(self._after.get(way[-1], set()) - seen):
+                    seen.add(edge)
+                    waiting.append([*way, edge])
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class LanePlace:
+    """A place in the network: lane number, metres along it, point and direction there."""
+
+    lane: int
+    arc_m: float
+    xy: NDArray[np.float64]
+    heading_rad: float
+    ended: bool
+
+
+def walk(
+    network: RoadNetwork,
+    lane: int,
+    arc_m: float,
+    offset_m: float,
+    towards: NDArray[np.float64] | None = None,
+) -> LanePlace:
+    """The place at `arc_m` of a lane, which may lie beyond its end.
+
+    Where lanes part, the way is the one that ends nearest to `towards`; without it, the first.
+
+    Args:
+        network: The network.
+        lane: Where the way begins.
+        arc_m: Metres from the lane's beginning.
+        offset_m: Metres to the left of the middle.
+        towards: (2,) point that the place should be near.
+
+    Returns:
+        The place; `ended` where the network ends before it, which then is beyond its end.
+    """
+    while arc_m > network.length_m[lane] and network.successors[lane]:
+        arc_m -= float(network.length_m[lane])
+        choice = network.successors[lane]
+        if towards is None or len(choice) == 1:
+            lane = choice[0]
+        else:
+            ends = [walk(network, c, arc_m, 0.0, towards).xy for c in choice]
+            lane = choice[int(np.argmin([np.hypot(*(end - towards)) for end in ends]))]
+    line, arc = network.line(lane), network.arc(lane)
+    k = min(max(int(np.searchsorted(arc, arc_m, side="right")) - 1, 0), len(line) - 2)
+    step = line[k + 1] - line[k]
+    unit = step / max(float(np.hypot(*step)), 1e-9)
+    xy = line[k] + (arc_m - arc[k]) * unit + offset_m * np.array([-unit[1], unit[0]])
+    heading = float(np.arctan2(unit[1], unit[0]))
+    return LanePlace(lane, arc_m, xy, heading, bool(arc_m > network.length_m[lane]))

@@ -1,1 +1,0 @@
-"""What a roadside camera over a synthetic road would show: pictures with exact boxes."""

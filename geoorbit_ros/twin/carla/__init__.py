@@ -1,0 +1,1 @@
+"""The vehicles of the twin in a CARLA server."""

@@ -1,0 +1,174 @@
+"""What plain `sumo` gets to run ahead from the twin's present: network, vehicles, measurements."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree as Xml
+
+import numpy as np
+
+from geoorbit_ros.roadnet.network import NONE, RoadNetwork
+from geoorbit_ros.roadnet.network_file import parse_xml
+from geoorbit_ros.roadnet.routing import MAX_EDGES, Ways
+from geoorbit_ros.twin.forecast.observed_traffic import Demand
+from geoorbit_ros.twin.placement import TwinStep
+from geoorbit_ros.twin.scenario import Scenario
+from geoorbit_ros.twin.vehicle_types import TYPES, add_type
+
+STEP_S = 0.5
+"""SUMO's drivers are made for steps up to their reaction time of 1 s; half of it is its usual."""
+QUEUE_PERIOD_S = 10.0
+LANES, QUEUES, CONFIG = "lanes.xml", "queues.xml", "forecast.sumocfg"
+
+
+@dataclass(frozen=True, slots=True)
+class ForecastStart:
+    """Where a forecast begins.
+
+    Attributes:
+        step: The twin's present.
+        demand: What goes on arriving.
+        horizon_s: How far ahead.
+        seed: Of the arrivals and of SUMO's drivers.
+    """
+
+    step: TwinStep
+    demand: Demand
+    horizon_s: float
+    seed: int
+
+
+def write_forecast(
+    folder: Path, network: RoadNetwork, start: ForecastStart, scenario: Scenario
+) -> Path:
+    """Write all files of one forecast; the path of SUMO's configuration.
+
+    The vehicles of now go on from where they are, over ways drawn from the turns that were seen.
+    New ones arrive at random times (exponential headways) at the flows that were seen, the same in
+    every scenario.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    _write_network(network.path, folder / "forecast.net.xml", scenario)
+    additional = Xml.Element("additional")
+    for kind in TYPES:
+        add_type(additional, kind.name, kind)
+    # No edge is left out: a lane without vehicles is an answer, too.
+    measured = {"id": "all", "file": LANES, "excludeEmpty": "false", "withInternal": "0"}
+    Xml.SubElement(additional, "laneData", measured | {"begin": "0", "end": f"{start.horizon_s:g}"})
+    _save(additional, folder / "forecast.add.xml")
+    _save(_routes(network, start), folder / "forecast.rou.xml")
+    root = Xml.Element("configuration")
+    for name, value in {
+        "net-file": "forecast.net.xml",
+        "route-files": "forecast.rou.xml",
+        "additional-files": "forecast.add.xml",
+        "queue-output": QUEUES,
+        "queue-output.period": f"{QUEUE_PERIOD_S:g}",
+        "summary-output": "summary.xml",
+        "begin": "0",
+        "end": f"{start.horizon_s:g}",
+        "step-length": f"{STEP_S:g}",
+        "seed": str(start.seed),
+        "time-to-teleport": "-1",
+        "collision.action": "none",
+        "ignore-route-errors": "true",
+        "no-step-log": "true",
+        "no-warnings": "true",
+        "max-depart-delay": "-1",
+    }.items():
+        Xml.SubElement(root, name, value=value)
+    _save(root, folder / CONFIG)
+    return folder / CONFIG
+
+
+def _write_network(path: Path, out: Path, scenario: Scenario) -> None:
+    tree = parse_xml(path)
+    for lane in tree.getroot().iter("lane"):
+        name = lane.get("id", "")
+        if name in scenario.closed:
+            lane.attrib.pop("allow", None)
+            lane.set("disallow", "all")
+        if name in scenario.limit_mps:
+            lane.set("speed", f"{scenario.limit_mps[name]:.3f}")
+    tree.write(out, encoding="utf-8", xml_declaration=True)
+
+
+def _routes(network: RoadNetwork, start: ForecastStart) -> Xml.Element:
+    root, random = Xml.Element("routes"), np.random.default_rng(start.seed)
+    ways, demand = _DrawnWays(network, start.demand, random), start.demand
+    step = start.step
+    speed = np.hypot(*step.velocity.T)
+    there = (step.lane != NONE) & np.isfinite(step.xy[:, 0])
+    for k in np.flatnonzero(there & ~network.internal[np.maximum(step.lane, 0)]).tolist():
+        lane = int(step.lane[k])
+        front = network.place_on(lane, step.xy[k]) + 0.5 * float(step.size_m[k, 0])
+        position = min(max(front, 0.1), float(network.length_m[lane]) - 0.1)
+        _vehicle(
+            root,
+            ways.onwards(network.edge_id[lane]),
+            id=f"v{step.vehicle_id[k]}",
+            type=TYPES[step.kind[k]].name,
+            depart="0",
+            departLane=str(network.index[lane]),
+            departPos=f"{position:.2f}",
+            departSpeed=f"{speed[k]:.2f}",
+            speedFactor=f"{ways.driver()[1]:.3f}",
+            insertionChecks="none",
+        )
+    arrivals: list[tuple[float, str]] = []
+    for edge, flow in sorted(demand.flow_per_h.items()):
+        # More than will come, but for a chance in millions.
+        expected = flow * start.horizon_s / 3600.0
+        gaps = random.exponential(1.0, int(expected + 6.0 * np.sqrt(expected) + 10))
+        times = np.cumsum(gaps) * 3600.0 / max(flow, 1e-9)
+        arrivals += [(time, edge) for time in times.tolist() if time < start.horizon_s]
+    for number, (time, edge) in enumerate(sorted(arrivals)):
+        kind, factor = ways.driver()
+        _vehicle(
+            root,
+            ways.onwards(edge),
+            id=f"new{number}",
+            type=TYPES[kind].name,
+            depart=f"{time:.2f}",
+            departLane="random",  # of those open; who must leave it does so where it ends
+            departSpeed="max",
+            speedFactor=f"{factor:.3f}",
+        )
+    return root
+
+
+def _vehicle(root: Xml.Element, edges: list[str], **values: str) -> None:
+    Xml.SubElement(Xml.SubElement(root, "vehicle", values), "route", edges=" ".join(edges))
+
+
+class _DrawnWays:
+    """Ways by the turns that were seen, and drivers by those that were."""
+
+    def __init__(self, network: RoadNetwork, demand: Demand, random: np.random.Generator) -> None:
+        self._ways, self._demand, self._random = Ways(network), demand, random
+
+    def onwards(self, edge: str) -> list[str]:
+        """An edge and those after it, by the turns that were seen.
+
+        Where nobody was seen to go on, traffic parts as the lanes do, up to the network's end.
+        """
+        way = [edge]
+        while len(way) < MAX_EDGES:
+            turns = self._demand.turns.get(way[-1]) or self._ways.branches(way[-1])
+            targets = [target for target in turns if target not in way]
+            if not targets:
+                break
+            counts = np.array([turns[target] for target in targets], dtype=np.float64)
+            way.append(targets[int(self._random.choice(len(targets), p=counts / counts.sum()))])
+        return way
+
+    def driver(self) -> tuple[int, float]:
+        """Type and speed factor of a vehicle that was seen."""
+        k = int(self._random.integers(len(self._demand.kinds)))
+        return int(self._demand.kinds[k]), float(self._demand.factors[k])
+
+
+def _save(root: Xml.Element, path: Path) -> None:
+    Xml.indent(root)
+    Xml.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)

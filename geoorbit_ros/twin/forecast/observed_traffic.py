@@ -1,0 +1,187 @@
+"""What the twin saw in the last minutes, as the demand that a forecast continues.
+
+Flows are Edie's: distance driven in a stretch of road, over its length and the time. A vehicle
+whose track breaks counts once, because its parts together drive the same distance (L. C. Edie 1963,
+"Discussion of traffic stream measurements and definitions").
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.core.polylines import project
+from geoorbit_ros.roadnet.network import NONE, RoadNetwork
+from geoorbit_ros.roadnet.routing import MAX_EDGES, Ways
+from geoorbit_ros.twin.placement import TwinStep
+from geoorbit_ros.twin.vehicle_types import TYPES
+
+SAMPLE_NS = 500_000_000
+STRETCH_M, MIN_LENGTH_M = 60.0, 20.0
+"""Some samples of every vehicle lie in such a stretch; shorter ones tell by chance."""
+MIN_TIME_S = 10.0
+MOVING_MPS = 2.0
+"""Slower, a vehicle says nothing about how fast its driver likes to drive."""
+FACTOR_BOUNDS = (0.3, 2.0)
+TRIM = 0.01
+"""Of the places where vehicles were seen, the outermost are single ones."""
+
+
+@dataclass(frozen=True, slots=True)
+class Demand:
+    """Traffic as it was seen.
+
+    Attributes:
+        time_s: How long it was looked at.
+        flow_per_h: Vehicles per hour that enter each edge from beyond what is seen.
+        turns: For each edge, how many vehicles went on to which edge.
+        kinds: (K,) types of vehicles, numbers in `TYPES`, as often as they were seen.
+        factors: (K,) speed over the limit of each.
+        edge_flow_per_h: Flow on every edge that was seen.
+    """
+
+    time_s: float
+    flow_per_h: dict[str, float]
+    turns: Mapping[str, Mapping[str, int]]
+    kinds: NDArray[np.int64]
+    factors: NDArray[np.float64]
+    edge_flow_per_h: dict[str, float]
+
+
+class ObservedTraffic:
+    """Samples the twin twice a second and keeps a window of it.
+
+    Args:
+        network: The roads.
+        window_s: How far back.
+
+    Attributes:
+        last: The last step.
+    """
+
+    def __init__(self, network: RoadNetwork, window_s: float) -> None:
+        self._network, self._window_ns = network, round(window_s * 1e9)
+        self._samples: deque[tuple[int, NDArray[np.void]]] = deque()
+        self.last: TwinStep | None = None
+
+    def add(self, step: TwinStep) -> None:
+        """Take one step."""
+        if self.last is not None and step.stamp_ns < self.last.stamp_ns:
+            self._samples.clear()  # the source started again
+        self.last = step
+        if self._samples and step.stamp_ns < self._samples[-1][0] + SAMPLE_NS:
+            return
+        kept = step.observed & (step.lane != NONE) & np.isfinite(step.xy[:, 0])
+        rows = np.empty(int(np.count_nonzero(kept)), _SAMPLE)
+        rows["vehicle"], rows["lane"] = step.vehicle_id[kept], step.lane[kept]
+        rows["xy"], rows["kind"] = step.xy[kept], step.kind[kept]
+        rows["speed"] = np.hypot(*step.velocity[kept].T)
+        self._samples.append((step.stamp_ns, rows))
+        while self._samples[0][0] < step.stamp_ns - self._window_ns:
+            self._samples.popleft()
+
+    @property
+    def time_s(self) -> float:
+        """How long the window is by now."""
+        return (self._samples[-1][0] - self._samples[0][0]) * 1e-9 if self._samples else 0.0
+
+    def snapshot(self) -> ObservedTraffic:
+        """The same up to now, for another thread."""
+        other = ObservedTraffic(self._network, self._window_ns * 1e-9)
+        other._samples, other.last = deque(self._samples), self.last
+        return other
+
+    def demand(self) -> Demand | None:
+        """The demand; None when too little was seen to tell."""
+        if not self._samples:
+            return None
+        time_s = self.time_s
+        rows = np.concatenate([rows for _, rows in self._samples])
+        edge_of, internal = self._network.edge_id, self._network.internal
+        rows = rows[~internal[rows["lane"]]]
+        if time_s < MIN_TIME_S or not len(rows):
+            return None
+        flow = {}
+        edges = np.array(edge_of, dtype=object)[rows["lane"]]
+        for edge in sorted(set(edges.tolist())):
+            flow[edge] = self._flow_per_h(rows[edges == edge], time_s)
+        turns = self._turns(rows, edges)
+        after = {target for targets in turns.values() for target in targets}
+        roots = _balanced({e: v for e, v in flow.items() if e not in after}, turns, flow)
+        kinds, factors = self._drivers(rows)
+        return Demand(time_s, roots, turns, kinds, factors, flow)
+
+    def _flow_per_h(self, rows: NDArray[np.void], time_s: float) -> float:
+        """Edie's flow of an edge by its rows, in the stretch where most was seen.
+
+        A camera sees less of what is far away or hidden, and so the largest of the flows in
+        stretches of `STRETCH_M` is nearest to the truth.
+        """
+        arc = project(rows["xy"], self._network.line(int(rows["lane"].min()))).arc_m
+        order = np.argsort(arc)
+        arc = arc[order]
+        driven_m = np.append(0.0, np.cumsum(rows["speed"][order])) * SAMPLE_NS * 1e-9
+        low, high = np.quantile(arc, [TRIM, 1.0 - TRIM])
+        stretch_m = float(np.clip(high - low, MIN_LENGTH_M, STRETCH_M))
+        begin = np.arange(low, max(high - stretch_m, low) + 1.0, 0.25 * stretch_m)
+        first, last = np.searchsorted(arc, begin), np.searchsorted(arc, begin + stretch_m)
+        return 3600.0 * float((driven_m[last] - driven_m[first]).max()) / (stretch_m * time_s)
+
+    def _turns(self, rows: NDArray[np.void], edges: NDArray[np.object_]) -> dict[str, Counter[str]]:
+        ways, turns = Ways(self._network), dict[str, Counter[str]]()
+        order = np.argsort(rows["vehicle"], kind="stable")  # in time, for every vehicle
+        vehicle, edge = rows["vehicle"][order], edges[order]
+        moved = np.flatnonzero((vehicle[1:] == vehicle[:-1]) & (edge[1:] != edge[:-1]))
+        for pair, count in Counter(zip(edge[moved], edge[moved + 1], strict=True)).items():
+            way = ways.complete(list(pair))
+            for here, there in zip(way or [], (way or [])[1:], strict=False):
+                turns.setdefault(here, Counter())[there] += count
+        return turns
+
+    def _drivers(self, rows: NDArray[np.void]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Type and speed factor of each vehicle that was seen driving."""
+        rows = rows[rows["speed"] > MOVING_MPS]
+        if not len(rows):
+            return np.zeros(1, np.int64), np.ones(1)
+        _, first, vehicle = np.unique(rows["vehicle"], return_index=True, return_inverse=True)
+        limit = np.bincount(vehicle, self._network.speed_mps[rows["lane"]])
+        factor = np.bincount(vehicle, rows["speed"]) / limit
+        kinds = np.clip(rows["kind"][first], 0, len(TYPES) - 1)
+        return kinds, np.clip(factor, *FACTOR_BOUNDS)
+
+
+def _balanced(
+    roots: dict[str, float], turns: Mapping[str, Mapping[str, int]], seen: Mapping[str, float]
+) -> dict[str, float]:
+    """Flows that enter, raised to what is seen farther on: a camera sees less of its far end."""
+    reached = {root: _shares(root, turns) for root in roots}
+    total: dict[str, float] = {}
+    for root, shares in reached.items():
+        for edge, share in shares.items():
+            total[edge] = total.get(edge, 0.0) + roots[root] * share
+    return {
+        root: flow * max(1.0, *(seen.get(edge, 0.0) / max(total[edge], 1e-9) for edge in shares))
+        for (root, flow), shares in zip(roots.items(), reached.values(), strict=True)
+    }
+
+
+def _shares(root: str, turns: Mapping[str, Mapping[str, int]]) -> dict[str, float]:
+    """Of what enters at an edge, the share that comes to each edge after it."""
+    shares, waiting = {root: 1.0}, deque([root])
+    while waiting and len(shares) < MAX_EDGES:
+        here = waiting.popleft()
+        out = sum(turns.get(here, {}).values())
+        for edge, count in turns.get(here, {}).items():
+            if edge not in shares:
+                shares[edge] = shares[here] * count / out
+                waiting.append(edge)
+    return shares
+
+
+_SAMPLE = np.dtype(
+    [("vehicle", "<i8"), ("lane", "<i8"), ("xy", "<f8", 2), ("kind", "<i8"), ("speed", "<f8")]
+)

@@ -1,0 +1,226 @@
+"""Runs the traffic ahead of the twin in processes of their own, and reads what came of it."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as Xml
+
+from geoorbit_ros.roadnet.errors import SimulationError
+from geoorbit_ros.roadnet.network import RoadNetwork
+from geoorbit_ros.twin.forecast.files import LANES, QUEUES, ForecastStart, write_forecast
+from geoorbit_ros.twin.scenario import Scenario
+from geoorbit_ros.twin.sumo_process import exit_words, program_environment, program_path
+
+AS_IT_IS, WITH_CHANGES = "as it is", "with changes"
+POLL_S = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class LaneForecast:
+    """A lane over the whole forecast; None where no vehicle drove.
+
+    Attributes:
+        lane: SUMO's id.
+        speed_kmh: Mean speed of the vehicles in it.
+        density_per_km: Vehicles per kilometre.
+        flow_per_h: Density times speed: vehicles per hour through its middle.
+        travel_time_s: Time to drive it at that speed.
+        queue_m_mean, queue_m_max: From its end to the last vehicle slower than 5 km/h.
+        queue_vehicles: Standing vehicles on average.
+    """
+
+    lane: str
+    speed_kmh: float | None
+    density_per_km: float
+    flow_per_h: float
+    travel_time_s: float | None
+    queue_m_mean: float
+    queue_m_max: float
+    queue_vehicles: float
+
+
+@dataclass(frozen=True, slots=True)
+class Forecast:
+    """What one scenario leads to.
+
+    Attributes:
+        scenario: Its name.
+        changes: What is changed, in words.
+        lanes: Every lane outside junctions, in the order of the network.
+        vehicles: How many were in the network at all.
+        left_per_h: Vehicles that reached the end of their ways, per hour.
+        waiting: Vehicles that did not find room to enter in the end: the queue beyond the network.
+        took_s: Time that the computer needed.
+    """
+
+    scenario: str
+    changes: str
+    lanes: tuple[LaneForecast, ...]
+    vehicles: int
+    left_per_h: float
+    waiting: int
+    took_s: float
+
+    def values(self) -> dict[str, Any]:
+        """As JSON has it."""
+        return asdict(self)
+
+
+class ForecastRun:
+    """A forecast that is being computed: one process, or two where something is changed.
+
+    The twin is only read, before this returns; nothing here waits.
+
+    Args:
+        network: The roads.
+        start: Where it begins.
+        scenario: What is changed; without changes the road as it is is run alone.
+        limit_s: Time after which it is given up.
+        clock_s: Monotonic time.
+
+    Raises:
+        SimulationError: There is no SUMO.
+    """
+
+    def __init__(
+        self,
+        network: RoadNetwork,
+        start: ForecastStart,
+        scenario: Scenario,
+        limit_s: float,
+        clock_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._network, self._start, self._clock_s = network, start, clock_s
+        self._limit_s, self._begin_s = limit_s, clock_s()
+        self._folder = Path(tempfile.mkdtemp(prefix="geoorbit_forecast_"))
+        self._scenarios = {AS_IT_IS: Scenario()}
+        if scenario:
+            self._scenarios[WITH_CHANGES] = scenario
+        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        try:
+            program = program_path("sumo")
+            for name, changed in self._scenarios.items():
+                folder = self._folder / name.replace(" ", "_")
+                config = write_forecast(folder, network, start, changed)
+                with (folder / "sumo.log").open("wb") as log:
+                    self._processes[name] = subprocess.Popen(
+                        # Behind the live twin, which has its time to keep.
+                        ["nice", "-n", "10", program, "-c", str(config)],
+                        env=program_environment(),
+                        stdout=log,
+                        stderr=subprocess.STDOUT,
+                    )
+        except BaseException:
+            self.close()
+            raise
+
+    def poll(self) -> list[Forecast] | None:
+        """The forecasts, once all are there; None while they are computed.
+
+        Raises:
+            SimulationError: SUMO failed, or the time is up.
+        """
+        codes = {name: process.poll() for name, process in self._processes.items()}
+        took_s = self._clock_s() - self._begin_s
+        for name, code in codes.items():
+            if code:
+                raise SimulationError(f"forecast '{name}'", self._said(name, code), "a forecast")
+        if None not in codes.values():
+            return [self._read(name, took_s) for name in self._scenarios]
+        if took_s > self._limit_s:
+            found = f"no result in {self._limit_s:g} s"
+            raise SimulationError("forecast", found, "a shorter horizon or a longer limit")
+        return None
+
+    def wait(self) -> list[Forecast]:
+        """The forecasts, as soon as they are there.
+
+        Raises:
+            SimulationError: As `poll`.
+        """
+        while (found := self.poll()) is None:
+            time.sleep(POLL_S)
+        return found
+
+    def close(self) -> None:
+        """End what still runs, and take the files away."""
+        for process in self._processes.values():
+            if process.poll() is None:
+                process.kill()
+            process.wait()
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _said(self, name: str, code: int) -> str:
+        text = (self._folder / name.replace(" ", "_") / "sumo.log").read_text(errors="replace")
+        errors = [line for line in text.splitlines() if line.startswith("Error")]
+        return errors[0][:300] if errors else f"SUMO's end with {exit_words(code)}"
+
+    def _read(self, name: str, took_s: float) -> Forecast:
+        folder, changed = self._folder / name.replace(" ", "_"), self._scenarios[name]
+        horizon_s = self._start.horizon_s
+        queues = _queues(folder / QUEUES)
+        found: dict[str, LaneForecast] = {}
+        for lane in Xml.parse(folder / LANES).getroot().iter("lane"):
+            queue = queues.lengths.get(lane.get("id", ""), [])
+            values = {key: float(value) for key, value in lane.items() if key != "id"}
+            speed, density = values.get("speed"), values.get("density", 0.0)
+            found[lane.attrib["id"]] = LaneForecast(
+                lane=lane.attrib["id"],
+                speed_kmh=None if speed is None else 3.6 * speed,
+                density_per_km=density,
+                flow_per_h=3.6 * density * (speed or 0.0),
+                travel_time_s=values.get("traveltime") if speed is not None else None,
+                queue_m_mean=sum(queue) / max(queues.samples, 1),
+                queue_m_max=max(queue, default=0.0),
+                queue_vehicles=values.get("waitingTime", 0.0) / horizon_s,
+            )
+        summary = list(Xml.parse(folder / "summary.xml").getroot().iter("step"))
+        last = {key: float(value) for key, value in (summary[-1].items() if summary else ())}
+        empty = LaneForecast("", None, 0.0, 0.0, None, 0.0, 0.0, 0.0)
+        known = (
+            _named(found.get(lane, empty), lane)
+            for lane, internal in zip(
+                self._network.lane_id, self._network.internal.tolist(), strict=True
+            )
+            if not internal
+        )
+        return Forecast(
+            scenario=name,
+            changes=changed.words(),
+            lanes=tuple(known),
+            vehicles=int(last.get("inserted", 0.0)),
+            left_per_h=last.get("ended", 0.0) * 3600.0 / horizon_s,
+            waiting=int(last.get("waiting", 0.0)),
+            took_s=round(took_s, 3),
+        )
+
+
+def _named(found: LaneForecast, lane: str) -> LaneForecast:
+    return LaneForecast(**(asdict(found) | {"lane": lane}))
+
+
+@dataclass(frozen=True, slots=True)
+class _Queues:
+    samples: int
+    lengths: dict[str, list[float]]
+
+
+def _queues(path: Path) -> _Queues:
+    """Lengths of the queues of each lane, one per time with a queue."""
+    lengths: dict[str, list[float]] = {}
+    samples = 0
+    for data in Xml.parse(path).getroot().iter("data"):
+        samples += 1
+        for lane in data.iter("lane"):
+            length = float(lane.get("queueing_length", "0"))
+            if math.isfinite(length):
+                lengths.setdefault(lane.get("id", ""), []).append(length)
+    return _Queues(samples, lengths)

@@ -1,0 +1,116 @@
+"""The vehicles of the twin, as arrays with one slot per vehicle."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.roadnet.network import NONE
+from geoorbit_ros.twin.vehicle_types import LENGTH_BOUNDS_M, TYPES, WIDTH_BOUNDS_M
+
+VEHICLE_DTYPE = np.dtype(
+    [
+        ("vehicle_id", "<i8"),
+        ("xy", "<f8", 2),
+        ("velocity", "<f8", 2),
+        ("heading", "<f8"),
+        ("course", "<f8"),
+        ("sigma", "<f8"),
+        ("length", "<f8"),
+        ("width", "<f8"),
+        ("kind", "<i8"),
+        ("votes", "<f8", len(TYPES)),
+        ("seen_ns", "<i8"),
+        ("observed", "?"),
+        ("predicted", "?"),
+        ("cameras", "<i8"),
+        ("possible_mps", "<f8"),
+        ("slow_s", "<f8"),
+        ("anchor", "<f8", 2),
+        ("anchor_ns", "<i8"),
+        ("lane", "<i8"),
+        ("arc", "<f8"),
+        ("offset", "<f8"),
+        ("within", "?"),
+        ("entered", "?"),
+        ("sim_kind", "<i8"),
+        ("sim_length", "<f8"),
+        ("sim_width", "<f8"),
+        ("active", "?"),
+    ]
+)
+"""State of a vehicle: middle of its footprint in the map frame; `heading` as tracked and
+`course` as driven (`synchronizer.plausible_course`); `kind` numbers `TYPES`;
+`observed`: a track has it in this step, and `predicted`: but only as a prediction; `cameras`: how
+many see it; `possible_mps`: the least speed it can have by braking, `slow_s`: how long it has been
+far below, and `anchor…`: where and since when it has been within a few metres (`ghosts`);
+`within`: between the borders of its lane; `entered`: whether it is in the simulation, and `sim_…`
+what it is there."""
+
+_MEMORY = 0.98
+"""A class vote fades to half in 3.4 s of steps at 10 Hz."""
+_LEAD = 4.0
+"""Votes by which another class must lead, so that single wrong classes change nothing."""
+
+
+class Fleet:
+    """All vehicles; slots are used again, vehicle ids never.
+
+    Attributes:
+        table: (S,) `VEHICLE_DTYPE`, S slots.
+    """
+
+    def __init__(self, capacity: int = 64) -> None:
+        self.table = np.zeros(capacity, VEHICLE_DTYPE)
+        self._next_id = 1
+
+    @property
+    def slots(self) -> NDArray[np.int64]:
+        """(M,) slots in use."""
+        return np.flatnonzero(self.table["active"])
+
+    def enter(self, count: int) -> NDArray[np.int64]:
+        """Slots (count,) for new vehicles with new ids."""
+        free = np.flatnonzero(~self.table["active"])
+        if len(free) < count:
+            size = len(self.table)
+            more = np.zeros(max(size, count), VEHICLE_DTYPE)
+            self.table = np.concatenate([self.table, more])
+            free = np.append(free, np.arange(size, size + len(more)))
+        slot = free[:count]
+        fresh = np.zeros(count, VEHICLE_DTYPE)
+        fresh["vehicle_id"] = np.arange(self._next_id, self._next_id + count)
+        fresh["active"], fresh["lane"], fresh["kind"] = True, NONE, NONE
+        fresh["heading"] = fresh["course"] = np.nan
+        self._next_id += count
+        self.table[slot] = fresh
+        return slot
+
+    def leave(self, slot: NDArray[np.int64]) -> None:
+        """Free slots."""
+        self.table["active"][slot] = False
+
+    def vote(self, slot: NDArray[np.int64], kind: NDArray[np.int64]) -> None:
+        """One vote for the type of each vehicle; the leading type becomes its type.
+
+        Args:
+            slot: (M,) vehicles, which may repeat.
+            kind: (M,) numbers in `TYPES`.
+        """
+        votes = self.table["votes"]
+        votes[slot] *= _MEMORY
+        np.add.at(votes, (slot, kind), 1.0)
+        kind_now, now = self.table["kind"][slot], votes[slot]
+        leader, row = np.argmax(now, axis=1), np.arange(len(slot))
+        lead = now[row, leader] - now[row, np.maximum(kind_now, 0)]
+        self.table["kind"][slot] = np.where((kind_now < 0) | (lead > _LEAD), leader, kind_now)
+
+
+def usual_size(
+    kind: NDArray[np.int64], length: NDArray[np.float64], width: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Length and width (M,) as tracked where that is possible for a vehicle, else of the type."""
+    usual = np.array([(k.length_m, k.width_m) for k in TYPES])[kind]
+    long = (length >= LENGTH_BOUNDS_M[0]) & (length <= LENGTH_BOUNDS_M[1])
+    wide = (width >= WIDTH_BOUNDS_M[0]) & (width <= WIDTH_BOUNDS_M[1])
+    return np.where(long, length, usual[:, 0]), np.where(wide, width, usual[:, 1])
