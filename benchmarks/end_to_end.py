@@ -25,7 +25,7 @@ from rich.table import Table
 
 from geoorbit_ros.calibration.control_points import read_control_points
 from geoorbit_ros.calibration.homography import fit_homography
-from geoorbit_ros.cli.camera_run import CameraRun, WatchedMapper, prime_detector
+from geoorbit_ros.cli.camera_run import CameraRun, WatchedMapper, warm_up_detector
 from geoorbit_ros.cli.console import error_console, make_progress
 from geoorbit_ros.core.errors import NoTrafficError
 from geoorbit_ros.detection.registry import make_detector
@@ -86,7 +86,7 @@ def run_scene(name: str, seed: int, cache: Path) -> Outcome:
     run = CameraRun(fit_homography(points), detector, mapper)
     start_s = time.process_time()
     with open_frame_source(str(folder / "video.mp4")) as video:
-        prime_detector(detector, video, None)
+        warm_up_detector(detector, video, None)
         try:
             lanes = map_lanes(run.ground_tracks(video), mapper).lanes
         except NoTrafficError:

@@ -27,7 +27,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from end_to_end import filmed
-from geoorbit_ros.cli.camera_run import prime_detector
+from geoorbit_ros.cli.camera_run import warm_up_detector
 from geoorbit_ros.cli.console import error_console, make_progress
 from geoorbit_ros.core.tables import FLAG_TRUNCATED, PIXEL_TRACK_DTYPE
 from geoorbit_ros.detection.motion.detector import MotionDetector
@@ -74,7 +74,7 @@ def run_film(film: tuple[str, int], cache: Path, every: int) -> Outcome:
     nothing = np.empty(0, PIXEL_TRACK_DTYPE)
     detector, score, times = MotionDetector(), DetectionScore(), []
     with open_frame_source(str(folder / "video.mp4")) as video:
-        prime_detector(detector, video, None)
+        warm_up_detector(detector, video, None)
         for number, (stamp_ns, image) in enumerate(video, 1):
             if number % every:
                 continue

@@ -50,7 +50,7 @@ def add(
     """
     import cv2
 
-    from geoorbit_ros.cli.camera_run import CameraRun, WatchedMapper, prime_detector
+    from geoorbit_ros.cli.camera_run import CameraRun, WatchedMapper, warm_up_detector
     from geoorbit_ros.cli.console import console, say, status
     from geoorbit_ros.cli.inputs import CameraInput, EstimatorName, load_calibration
     from geoorbit_ros.cli.process import DEFAULT_FPS, opened_source, shown_images
@@ -77,7 +77,7 @@ def add(
     run, recording = CameraRun(homography, detector, mapper), Recording()
     with opened_source(source, None, duration) as images, atomic_output(out) as folder:
         folder.mkdir()
-        prime_detector(detector, images, duration)
+        warm_up_detector(detector, images, duration)
         _, first = next(iter(images))
         cv2.imwrite(str(folder / PICTURE), draw_calibration(first, homography))
         size = (first.shape[1], first.shape[0])

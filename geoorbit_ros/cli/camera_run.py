@@ -32,13 +32,13 @@ LONGEST_S = 120.0
 """Of a longer recording, the beginning."""
 
 
-def prime_detector(detector: Detector, images: FrameSource, duration_s: float | None) -> None:
+def warm_up_detector(detector: Detector, images: FrameSource, duration_s: float | None) -> None:
     """Let the detector see a recording once, under a progress bar; a stream can't be seen twice.
 
     A detector that learns nothing takes no image, so that nothing is read.
     """
     if not images.live:
-        detector.prime(_some(images, min(duration_s or LONGEST_S, LONGEST_S)))
+        detector.warm_up(_some(images, min(duration_s or LONGEST_S, LONGEST_S)))
 
 
 def _some(images: FrameSource, duration_s: float) -> Iterator[StampedImage]:

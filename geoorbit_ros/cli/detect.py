@@ -62,7 +62,7 @@ def detect(
     Example: [bold]geoorbit detect north.mp4 --out det.txt[/bold], then
     [bold]geoorbit track --detections det.txt --fps 25 --out tracks.txt[/bold]
     """
-    from geoorbit_ros.cli.camera_run import prime_detector
+    from geoorbit_ros.cli.camera_run import warm_up_detector
     from geoorbit_ros.cli.console import console, status
     from geoorbit_ros.detection.registry import make_detector
     from geoorbit_ros.storage.mot_text import write_mot
@@ -74,7 +74,7 @@ def detect(
         detector = make_detector(model, min_score=min_score, class_names=names)
     run = _Run(detector, picture)
     with _opened(source, fps, duration) as images:
-        prime_detector(detector, images, duration)
+        warm_up_detector(detector, images, duration)
         boxes = write_mot(out, run.frames(images, duration))
     console.print(f" {boxes} boxes in {run.count} images, by {detector.name}.")
     console.print(f" Wrote {out}" + (f" and {picture}" if picture else ""), soft_wrap=True)

@@ -68,7 +68,7 @@ def process(
 
     Example: [bold]geoorbit process north.mp4 --calibration calibration.csv --out north[/bold]
     """
-    from geoorbit_ros.cli.camera_run import CameraRun, WatchedMapper, prime_detector
+    from geoorbit_ros.cli.camera_run import CameraRun, WatchedMapper, warm_up_detector
     from geoorbit_ros.cli.console import console, status
     from geoorbit_ros.cli.report import describe_method, save_report
     from geoorbit_ros.cli.tables import print_lanes
@@ -91,7 +91,7 @@ def process(
     name = camera_id or _name(source)
     with opened_source(source, fps, duration) as images, atomic_output(out) as folder:
         folder.mkdir()
-        prime_detector(detector, images, duration)
+        warm_up_detector(detector, images, duration)
         ground = run.ground_tracks(
             shown_images(images, duration),
             folder / VIDEO if video else None,

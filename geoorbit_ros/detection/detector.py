@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import cv2
 import numpy as np
@@ -27,6 +27,7 @@ class ImageError(GeoOrbitError):
     """An image that can't be used."""
 
 
+@runtime_checkable
 class Detector(Protocol):
     """Finds vehicles in one image after the other of one camera."""
 
@@ -34,11 +35,10 @@ class Detector(Protocol):
     def name(self) -> str:
         """What finds the vehicles, in a few words for a person."""
 
-    def prime(self, images: Iterable[tuple[int, NDArray[np.generic]]]) -> None:
-        """Look at stamps and images of a recording once before they come to `detect`.
+    def warm_up(self, images: Iterable[tuple[int, NDArray[np.generic]]]) -> None:
+        """Learn from stamps and images of a recording before they come to `detect`.
 
-        What a detector learns from a camera it then knows from the first image on. Optional; a few
-        images a second are enough.
+        Callers may leave it out; a few images a second are enough.
         """
 
     def detect(self, stamp_ns: int, image: NDArray[np.generic]) -> NDArray[np.void]:

@@ -57,7 +57,7 @@ class MotionDetector:
         self._size: tuple[int, int] | None = None
         self._forget()
 
-    def prime(self, images: Iterable[tuple[int, NDArray[np.generic]]]) -> None:
+    def warm_up(self, images: Iterable[tuple[int, NDArray[np.generic]]]) -> None:
         """See `Detector`: the road, the shadows and the sizes are known from the first image on."""
         for stamp_ns, image in images:
             self.detect(stamp_ns, image)

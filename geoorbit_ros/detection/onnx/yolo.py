@@ -114,7 +114,7 @@ class OnnxYolo:
         width, height = self._model.canvas
         return f"{Path(self._model.place).name} ({self._layout.name}, {width}x{height})"
 
-    def prime(self, images: Iterable[tuple[int, NDArray[np.generic]]]) -> None:
+    def warm_up(self, images: Iterable[tuple[int, NDArray[np.generic]]]) -> None:
         """See `Detector`: a model has learnt before."""
 
     def detect(self, stamp_ns: int, image: NDArray[np.generic]) -> NDArray[np.void]:

@@ -24,10 +24,10 @@ def film() -> tuple[RenderedFrame, ...]:
 
 
 @lru_cache(maxsize=1)
-def primed() -> tuple[MotionDetector, list[NDArray[np.void]]]:
+def warmed_up() -> tuple[MotionDetector, list[NDArray[np.void]]]:
     """A detector that has seen the film twice, and its boxes the second time."""
     detector = MotionDetector()
-    detector.prime((frame.stamp_ns, frame.image) for frame in film()[::2])
+    detector.warm_up((frame.stamp_ns, frame.image) for frame in film()[::2])
     return detector, [detector.detect(frame.stamp_ns, frame.image) for frame in film()]
 
 
@@ -39,20 +39,20 @@ def score(frames: tuple[RenderedFrame, ...], tables: list[NDArray[np.void]]) -> 
 
 
 def test_recall_and_precision_on_a_rendered_day() -> None:
-    found = score(film(), primed()[1])
+    found = score(film(), warmed_up()[1])
     assert found.recall >= 0.9
     assert found.precision >= 0.9
 
 
 def test_edges_are_where_they_are_in_the_middle() -> None:
     """A shadow that is left over, or a soft edge, would move lanes all in one direction."""
-    errors = score(film(), primed()[1]).edge_errors
+    errors = score(film(), warmed_up()[1]).edge_errors
     assert np.abs(np.median(errors, axis=0)).max() < 0.06
 
 
 def test_trucks_and_cars_are_told_apart_by_size() -> None:
     right = total = 0
-    for frame, rows in zip(film(), primed()[1], strict=True):
+    for frame, rows in zip(film(), warmed_up()[1], strict=True):
         table = box_iou(box_corners(rows), box_corners(frame.boxes))
         for k, best in enumerate(table.argmax(axis=1) if len(frame.boxes) else []):
             if table[k, best] > 0.6:
@@ -140,7 +140,7 @@ def test_an_image_of_another_size_starts_anew() -> None:
 
 def test_time_may_start_again() -> None:
     """A recording that is looped: the road stays known, boxes come as before."""
-    detector, _ = primed()
+    detector, _ = warmed_up()
     again = [detector.detect(frame.stamp_ns, frame.image) for frame in film()[:30]]
     found = score(film()[:30], again)
     assert min(found.recall, found.precision) >= 0.85

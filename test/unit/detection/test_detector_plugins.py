@@ -1,0 +1,49 @@
+"""Plug-in detectors: the method `warm_up`, and its old name `prime`."""
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from geoorbit_ros.core.errors import ParameterError
+from geoorbit_ros.detection.registry import make_detector
+
+PLUGIN = """
+class Own:
+    name = "own"
+    seen = 0
+
+    def {method}(self, images):
+        Own.seen = len(list(images))
+
+    def detect(self, stamp_ns, image):
+        return (stamp_ns, Own.seen)
+"""
+IMAGE = np.zeros((4, 4, 3), np.uint8)
+
+
+def plugin(folder: Path, method: str) -> Path:
+    (folder / "own.py").write_text(PLUGIN.format(method=method), encoding="utf-8")
+    return folder / "own.py:Own"
+
+
+def test_a_plugin_with_warm_up_is_used_as_it_is(tmp_path: Path) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        detector = make_detector(plugin(tmp_path, "warm_up"))
+    detector.warm_up([(1, IMAGE), (2, IMAGE)])
+    assert tuple(detector.detect(5, IMAGE)) == (5, 2)
+
+
+def test_the_old_name_works_with_a_warning(tmp_path: Path) -> None:
+    with pytest.warns(FutureWarning, match="`prime` is now called `warm_up`"):
+        detector = make_detector(plugin(tmp_path, "prime"))
+    detector.warm_up([(1, IMAGE)])
+    assert detector.name == "own"
+    assert tuple(detector.detect(5, IMAGE)) == (5, 1)
+
+
+def test_a_plugin_with_neither_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ParameterError, match="no method warm_up"):
+        make_detector(plugin(tmp_path, "learn"))
