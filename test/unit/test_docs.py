@@ -39,3 +39,12 @@ def test_every_picture_is_shown() -> None:
     pictures = sorted((REPOSITORY / "docs" / "images").iterdir())
     assert pictures
     assert [picture.name for picture in pictures if picture.name not in texts] == []
+
+
+def test_decisions_are_numbered_without_holes_and_listed() -> None:
+    records = sorted((REPOSITORY / "docs" / "adr").glob("[0-9]*.md"))
+    assert [path.name[:4] for path in records] == [f"{n:04}" for n in range(1, len(records) + 1)]
+    index = (REPOSITORY / "docs" / "adr" / "README.md").read_text(encoding="utf-8")
+    for path in records:
+        assert path.read_text(encoding="utf-8").startswith(f"# {path.name[:4]}: ")
+        assert f"| [{path.name[:4]}]({path.name}) |" in index
