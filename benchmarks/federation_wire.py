@@ -94,7 +94,7 @@ def camera(name: str, folder: Path, server_key: str, settings: dict[str, object]
         float(str(settings.pop(name))) for name in ("round_s", "limit_s", "tail_s")
     )
 
-    def lesson(task: Any, _: str, tensors: Any, order: Any, best: Any = None) -> Lesson:
+    def lesson(task: Any, _: str, tensors: Any, order: Any, _best: Any = None) -> Lesson:
         time.sleep(round_s)
         if not order.teach:
             return Lesson(LocalResult({}, 0, 1.0, -0.5), None)

@@ -43,7 +43,8 @@ def make_own(text: str, place: str, methods: tuple[str, ...]) -> Any:
     if not file.is_file():
         raise ParameterError(place, f"no file {file}", FORM)
     spec = importlib.util.spec_from_file_location(file.stem, file)
-    assert spec is not None and spec.loader is not None  # it ends with .py
+    assert spec is not None
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)

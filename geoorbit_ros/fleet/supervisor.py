@@ -70,6 +70,12 @@ class Member:
         state: What it does.
         restarts: How often it was replaced.
         last_end: Why it last ended, as words; empty: it never did.
+        process: The running one, None between two.
+        pipe: Descriptor on which its heartbeats come in; -1: none.
+        since_s: When it was started (monotonic clock, as the next three).
+        beat_s: Its last heartbeat.
+        back_off_s: Pause before its next start.
+        due_s: When it starts next.
     """
 
     plan: ProcessPlan
@@ -77,11 +83,11 @@ class Member:
     restarts: int = 0
     last_end: str = ""
     process: subprocess.Popen[bytes] | None = None
-    _pipe: int = -1
-    _since_s: float = 0.0
-    _beat_s: float = 0.0
-    _back_off_s: float = 0.0
-    _due_s: float = 0.0
+    pipe: int = -1
+    since_s: float = 0.0
+    beat_s: float = 0.0
+    back_off_s: float = 0.0
+    due_s: float = 0.0
 
 
 class Supervisor:
@@ -134,7 +140,7 @@ class Supervisor:
         members = self.members.values()
         free = self._at_once - sum(m.state is State.STARTING for m in members)
         for member in members:
-            if member.state is State.WAITING and free > 0 and now >= member._due_s:
+            if member.state is State.WAITING and free > 0 and now >= member.due_s:
                 self._start(member, now)
                 free -= 1
             # A member that is being replaced holds nobody up.
@@ -188,21 +194,21 @@ class Supervisor:
                 process_group=0,
             )
         os.close(write_end)
-        member._pipe, member._since_s, member._beat_s = read_end, now, now
+        member.pipe, member.since_s, member.beat_s = read_end, now, now
         member.state = State.STARTING
         self._selector.register(read_end, selectors.EVENT_READ, member)
         self._on_event(name, f"started, process {member.process.pid}")
 
     def _take_heartbeat(self, member: Member) -> None:
-        beats = os.read(member._pipe, 4096)
+        beats = os.read(member.pipe, 4096)
         if not beats:  # the other end is closed; `_watch` finds out why
-            self._selector.unregister(member._pipe)
+            self._selector.unregister(member.pipe)
             return
-        member._beat_s = time.monotonic()
+        member.beat_s = time.monotonic()
         if member.state is State.STARTING:
             member.state = State.RUNNING
             self._on_event(
-                member.plan.name, f"running after {member._beat_s - member._since_s:.1f} s"
+                member.plan.name, f"running after {member.beat_s - member.since_s:.1f} s"
             )
 
     def _watch(self, member: Member, now: float) -> None:
@@ -213,23 +219,23 @@ class Supervisor:
         if status is None:
             starting = member.state is State.STARTING
             limit = self._timing.start_s if starting else self._timing.heartbeat_s
-            if now - member._beat_s <= limit:
+            if now - member.beat_s <= limit:
                 return
             _signal(member, signal.SIGKILL)
             process.wait()
             reason = f"no heartbeat for {limit:g} s, ended by force"
         else:
             reason = f"ended by {signal.Signals(-status).name}" if status < 0 else f"exit {status}"
-        if now - member._since_s > self._timing.steady_s:
-            member._back_off_s = 0.0
-        member._back_off_s = max(member._back_off_s, self._timing.first_back_off_s)
+        if now - member.since_s > self._timing.steady_s:
+            member.back_off_s = 0.0
+        member.back_off_s = max(member.back_off_s, self._timing.first_back_off_s)
         self._close_pipe(member)
         member.process, member.state, member.last_end = None, State.WAITING, reason
         member.restarts += 1
-        member._due_s = now + member._back_off_s
+        member.due_s = now + member.back_off_s
         hint = "" if status is None or status < 0 else f": {self._last_line(member.plan.name)}"
-        self._on_event(member.plan.name, f"{reason}{hint}; again in {member._back_off_s:g} s")
-        member._back_off_s = min(2.0 * member._back_off_s, self._timing.last_back_off_s)
+        self._on_event(member.plan.name, f"{reason}{hint}; again in {member.back_off_s:g} s")
+        member.back_off_s = min(2.0 * member.back_off_s, self._timing.last_back_off_s)
 
     def _last_line(self, name: str) -> str:
         """The last thing that a process said."""
@@ -239,11 +245,11 @@ class Supervisor:
         return next((line.strip() for line in reversed(lines) if line.strip()), "no word")
 
     def _close_pipe(self, member: Member) -> None:
-        if member._pipe >= 0:
+        if member.pipe >= 0:
             with contextlib.suppress(KeyError):  # its end was seen, so it is no longer watched
-                self._selector.unregister(member._pipe)
-            os.close(member._pipe)
-            member._pipe = -1
+                self._selector.unregister(member.pipe)
+            os.close(member.pipe)
+            member.pipe = -1
 
 
 def group_command(plan_file: Path, heartbeat_fd: int) -> list[str]:

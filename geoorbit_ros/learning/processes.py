@@ -44,7 +44,7 @@ class BackgroundProcess(Executor):
 
     def kill(self) -> None:
         """End the process, whatever it does."""
-        for process in list((self._pool._processes or {}).values()):
+        for process in list((self._pool._processes or {}).values()):  # noqa: SLF001, kill_workers: 3.14
             process.kill()
         self._pool.shutdown(wait=False, cancel_futures=True)
 

@@ -78,7 +78,7 @@ def score_lanes(
     seen = [sample(lane.centerline_m, step_m) for lane in detected]
     true = [sample(lane.centerline_m, step_m) for lane in truth]
     pairs = [
-        [_compare(s, d, t, q) for t, q in zip(truth, true, strict=True)]
+        [_compare(s, t, q) for t, q in zip(truth, true, strict=True)]
         for d, s in zip(detected, seen, strict=True)
     ]
     near = np.zeros((len(detected), len(truth)), dtype=bool)
@@ -116,7 +116,7 @@ def score_lanes(
     )
 
 
-def _compare(s: Samples, detected: Lane, truth: Lane, true: Samples) -> _Pair:
+def _compare(s: Samples, truth: Lane, true: Samples) -> _Pair:
     on_truth = project(s.point_m, truth.centerline_m)
     common = on_truth.inside
     a, b = s.tangent[common], on_truth.tangent[common]

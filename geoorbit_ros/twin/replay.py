@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
 
@@ -60,7 +61,7 @@ class ReplayScore:
         """All figures by name; NaN, which JSON lacks, is left out."""
         found: dict[str, float | int] = {"vehicles_total": self.vehicles, "tracks": self.tracks}
         found |= self.health.values() | asdict(self.events)
-        return {name: value for name, value in found.items() if value == value}
+        return {name: value for name, value in found.items() if not math.isnan(value)}
 
 
 def replay_tracks(

@@ -10,8 +10,8 @@ import shutil
 import subprocess
 import tempfile
 from collections import deque
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, Protocol
@@ -360,36 +360,29 @@ class SumoSimulation:
         self._fatal = (traci.TraCIException, traci.FatalTraCIError, OSError)
         self._process, self._sumo = start_program(program, arguments, self._folder)
 
-    def _watched(self) -> _Watch:
-        return _Watch(self)
-
-
-class _Watch:
-    """Turns what SUMO's interface raises into one sentence."""
-
-    def __init__(self, simulation: SumoSimulation) -> None:
-        self._simulation = simulation
-
-    def __enter__(self) -> None:
-        if self._simulation._sumo is None:
+    @contextmanager
+    def _watched(self) -> Iterator[None]:
+        """Turns what SUMO's interface raises into one sentence."""
+        if self._sumo is None:
             raise SimulationError("SUMO", "a simulation that was closed", "a running one")
+        try:
+            yield
+        except self._fatal as error:
+            if self._process is not None:
+                self._explain_end(self._process, error)
+            raise SimulationError("SUMO", first_line(error), "a running simulation") from error
 
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        if error is None or not isinstance(error, self._simulation._fatal):
-            return
-        process = self._simulation._process
-        if process is not None:
-            with suppress(subprocess.TimeoutExpired):
-                process.wait(0.5)
-            if process.returncode is not None:
-                found = f"its process ended with {exit_words(process.returncode)}"
-                raise SimulationError("SUMO", found, "a running simulation") from error
-            if not isinstance(error, self._simulation._fatal[0]):
-                # The connection failed, the program did not: it did not answer in time.
-                process.kill()
-                process.wait()
-                raise SimulationError("SUMO", "no answer: it hung and was ended", "one") from error
-        raise SimulationError("SUMO", first_line(error), "a running simulation") from error
+    def _explain_end(self, process: subprocess.Popen[bytes], error: Exception) -> None:
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(0.5)
+        if process.returncode is not None:
+            found = f"its process ended with {exit_words(process.returncode)}"
+            raise SimulationError("SUMO", found, "a running simulation") from error
+        if not isinstance(error, self._fatal[0]):
+            # The connection failed, the program did not: it did not answer in time.
+            process.kill()
+            process.wait()
+            raise SimulationError("SUMO", "no answer: it hung and was ended", "one") from error
 
 
 _OPTIONS = (

@@ -50,7 +50,7 @@ def start_program(
         connection = _connect(port, process, log)
         if not gui:
             # A SUMO that hangs must not hang who asks it; a window may be paused by its user.
-            connection._socket.settimeout(ANSWER_TIMEOUT_S)
+            connection._socket.settimeout(ANSWER_TIMEOUT_S)  # noqa: SLF001, traci has no other way
         return process, connection
     except BaseException:
         process.kill()

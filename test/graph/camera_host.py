@@ -47,7 +47,7 @@ def main() -> int:
     name, key_file, server_key, place, *encoding = sys.argv[1:]
     folder = Path(place)
 
-    def learned(task: Any, _: str, tensors: Any, order: Any, best: Any = None) -> Lesson:
+    def learned(task: Any, _: str, tensors: Any, order: Any, _best: Any = None) -> Lesson:
         (folder / f"{name}.learning").write_text(str(order.round))
         deadline, go = time.monotonic() + LIMIT_S, folder / f"{name}.go"
         while go.exists() and int(go.read_text() or 0) < order.round:

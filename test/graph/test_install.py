@@ -215,7 +215,7 @@ def observer() -> Iterator[Observer]:
     rclpy.shutdown(context=context)
 
 
-def as_pip_user(prefix: Path, folder: Path) -> tuple[list[str], dict[str, str]]:
+def as_pip_user(_prefix: Path, folder: Path) -> tuple[list[str], dict[str, str]]:
     """An environment that is not activated: `python3` is another one, without dependencies."""
     other = folder / "bin"
     other.mkdir()
@@ -225,7 +225,7 @@ def as_pip_user(prefix: Path, folder: Path) -> tuple[list[str], dict[str, str]]:
     return [], {"PATH": f"{other}:/usr/bin:/bin", "LD_LIBRARY_PATH": libraries}
 
 
-def as_colcon_user(prefix: Path, folder: Path) -> tuple[list[str], dict[str, str]]:
+def as_colcon_user(prefix: Path, _folder: Path) -> tuple[list[str], dict[str, str]]:
     """A shell in which the workspace was sourced; `python3` is the one that has ROS."""
     source = 'source "$0" && exec "$@"'
     path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"

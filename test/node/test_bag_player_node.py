@@ -181,9 +181,12 @@ def test_a_bag_that_breaks_off_ends_in_a_sentence(
     shutil.copytree(camera.bag, broken)
     recording = next(broken.glob("*.mcap"))
     recording.write_bytes(recording.read_bytes()[:-2000])
-    with pytest.raises(GeoOrbitError) as caught:
-        node = nodes.make(
-            BagPlayerNode, "", LOSSLESS | {"bag": str(broken), "wait_for_subscribers": 0}
-        )
+
+    def play() -> None:
+        parameters = LOSSLESS | {"bag": str(broken), "wait_for_subscribers": 0}
+        node = nodes.make(BagPlayerNode, "", parameters)
         nodes.wait(lambda: node.done, 20, "the end")
+
+    with pytest.raises(GeoOrbitError) as caught:
+        play()
     assert str(broken) in str(caught.value)

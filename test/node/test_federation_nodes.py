@@ -139,7 +139,7 @@ class AtOnce(Executor):
         return future
 
 
-def learned(task: Any, estimator: str, tensors: Any, order: Any, best: Any = None) -> Lesson:
+def learned(task: Any, _: str, tensors: Any, order: Any, _best: Any = None) -> Lesson:
     """Local training that moves every head's bias, without any search for theta*."""
     gain = -0.5 if order.round > 1 else 0.0
     assert len(task.supervision) == len(LANE_Y_M)
@@ -242,7 +242,7 @@ def test_cameras_learn_together_over_topics(
 
 
 def test_a_worker_that_fails_is_named_and_the_node_goes_on(
-    nodes: Composition, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    nodes: Composition, tmp_path: Path
 ) -> None:
     class Broken(Executor):
         def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Any:

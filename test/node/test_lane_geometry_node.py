@@ -196,7 +196,7 @@ def test_a_lane_that_is_gone_leaves_an_empty_path_then_no_topic(
     )
 
 
-def test_empty_frames_and_wrong_ones_do_no_harm(nodes: Composition, tracks: Tracks) -> None:
+def test_empty_frames_and_wrong_ones_do_no_harm(nodes: Composition) -> None:
     node, probe = start(nodes), Probe(nodes)
     assert not update(probe).success, "no frame yet"
     send = probe.table_publisher("tracks")

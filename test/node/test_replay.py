@@ -65,7 +65,8 @@ def test_a_camera_without_traffic_is_one_sentence_and_no_file(
     assert main([str(word) for word in words]) == 2
     said = capfd.readouterr().err.strip()
     assert said.count("\n") == 0
-    assert str(bag) in said and "vehicle" in said
+    assert str(bag) in said
+    assert "vehicle" in said
     assert not out.exists()
     assert os.listdir(tmp_path) == ["quiet"]
 

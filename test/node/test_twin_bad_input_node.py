@@ -44,8 +44,8 @@ def speak(nodes: Composition, camera: str, datum: Datum = DATUM) -> tuple[Probe,
 
 BROKEN: dict[str, tuple[Callable[[str], str], str]] = {
     "half a file": (lambda text: text[: len(text) // 2], "broken XML"),
-    "nothing": (lambda text: "", "broken XML"),
-    "another file": (lambda text: "<osm/>", "a file of <osm>"),
+    "nothing": (lambda _: "", "broken XML"),
+    "another file": (lambda _: "<osm/>", "a file of <osm>"),
     "no roads": (
         lambda text: f"<net>{re.search('<location[^>]*>', text)[0]}</net>",  # type: ignore[index]
         "no lane",

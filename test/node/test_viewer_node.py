@@ -1,7 +1,6 @@
 """A viewer sees every topic of the graph, byte for byte what was published."""
 
 import time
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -29,8 +28,8 @@ BOXES = np.array([(100.0, 50.0, 40.0, 20.0, 0.9, 2, 7, 0)], PIXEL_TRACK_DTYPE)
 
 
 @pytest.fixture
-def viewer(nodes: Composition) -> Iterator[ViewerNode]:
-    yield nodes.make(ViewerNode, "", QUICK)
+def viewer(nodes: Composition) -> ViewerNode:
+    return nodes.make(ViewerNode, "", QUICK)
 
 
 def test_a_client_gets_every_channel_within_two_seconds_and_what_was_published(

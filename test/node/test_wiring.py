@@ -62,7 +62,8 @@ def launch_file(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
         module.__getattr__ = lambda key: type(key, (Recorded,), {})  # type: ignore[method-assign]
         monkeypatch.setitem(sys.modules, name, module)
     spec = importlib.util.spec_from_file_location("wiring", ROOT / "launch" / "geoorbit.launch.py")
-    assert spec and spec.loader
+    assert spec
+    assert spec.loader
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
@@ -116,9 +117,8 @@ def test_launch_makes_the_graph_of_geoorbit_up_from_the_same_file(
     assert (tmp_path / "out" / "recordings").is_dir()
 
 
-def test_the_layout_and_the_sample_parameters_that_are_launched_exist(
-    launched: list[Recorded],
-) -> None:
+@pytest.mark.usefixtures("launched")
+def test_the_layout_and_the_sample_parameters_that_are_launched_exist() -> None:
     text = (ROOT / "launch" / "geoorbit.launch.py").read_text()
     for name in ("one_camera.yaml", "geoorbit.rviz"):
         assert name in text

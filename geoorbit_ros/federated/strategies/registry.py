@@ -38,11 +38,11 @@ class StrategySettings:
 
 
 STRATEGIES: dict[str, Callable[[StrategySettings], Strategy]] = {
-    "fedavg": lambda s: FedAvg(),
+    "fedavg": lambda _: FedAvg(),
     "fedavgm": lambda s: FedAvgM(s.momentum, s.server_learning_rate),
     "fedadam": lambda s: FedAdam(s.server_learning_rate),
     "fedprox": lambda s: FedProx(s.proximal_mu),
-    "fedmedian": lambda s: FedMedian(),
+    "fedmedian": lambda _: FedMedian(),
     "trimmed_mean": lambda s: TrimmedMean(s.byzantine_share),
     "multi_krum": lambda s: MultiKrum(s.byzantine_share),
     "fedbuff": lambda s: FedBuff(s.buffer_size, s.server_learning_rate),

@@ -65,7 +65,7 @@ class MapPrior:
                     for (other, *_), error in zip(sure, errors, strict=True)
                     if _beside(lane, other)
                 ]
-                refined = _drawn(lane, *place, beside)
+                refined = _drawn(lane, place[1], beside)
             if place is not None and widths_fit and not lane.width_sigma_m < GUESS_M:
                 refined = _widened(refined, place[0].width_m)
             lanes.append(refined)
@@ -103,7 +103,7 @@ def _beside(lane: Lane, other: Lane) -> bool:
     )
 
 
-def _drawn(lane: Lane, there: Lane, foot: Projection, beside: Sequence[float]) -> Lane:
+def _drawn(lane: Lane, foot: Projection, beside: Sequence[float]) -> Lane:
     """A lane between where it was seen and where the map has it, by the errors of both."""
     if not beside or max(map(abs, beside)) > FITS_M:
         return lane

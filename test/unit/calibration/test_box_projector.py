@@ -259,7 +259,8 @@ def test_a_ground_point_is_projected_as_it_is() -> None:
 
 def test_a_ground_point_on_the_border_is_not_truncated() -> None:
     out = projector(Camera()).project(0, row(960, 1079, 0, 0, flags=FLAG_GROUND_POINT))
-    assert len(out) == 1 and not out["flags"][0] & FLAG_TRUNCATED
+    assert len(out) == 1
+    assert not out["flags"][0] & FLAG_TRUNCATED
 
 
 def test_identity_score_and_the_predicted_flag_pass_through() -> None:
@@ -326,7 +327,8 @@ def test_detections_without_identity_share_nothing() -> None:
 
 def test_frames_without_vehicles_give_empty_tables() -> None:
     out = projector(Camera()).project(0, np.empty(0, dtype=PIXEL_TRACK_DTYPE))
-    assert out.dtype == TRACK_DTYPE and not len(out)
+    assert out.dtype == TRACK_DTYPE
+    assert not len(out)
 
 
 def test_time_must_advance_until_reset() -> None:
@@ -351,7 +353,8 @@ def test_control_points_outside_the_image_are_named() -> None:
 def test_without_a_pose_the_lower_edge_is_the_ground_point() -> None:
     camera = Camera((0, 0, 60), 90, 89.99)
     made = projector(camera)
-    assert made.pose is None and "focal length" in str(made.pose_error)
+    assert made.pose is None
+    assert "focal length" in str(made.pose_error)
     out = made.project(0, row(900, 500, 100, 60))
     np.testing.assert_allclose(position(out), camera.ground(np.array([[900.0, 530.0]])), atol=1e-3)
     assert out["sigma"][0] > 0.9

@@ -82,10 +82,12 @@ def test_score_table_says_what_is_missed(
     one.write_text(json.dumps(data), encoding="utf-8")
     code, out, _ = run("score", one, camera.truth)
     assert code == 0
-    assert "1 of 2 lanes found" in out and "missed" in out
+    assert "1 of 2 lanes found" in out
+    assert "missed" in out
     assert run("score", one, camera.truth, "--require")[0] == 1
     code, out, _ = run("score", found, one, "--require")
-    assert code == 1 and "1 invented" in out
+    assert code == 1
+    assert "1 invented" in out
 
 
 def test_report_draws_given_lanes_and_scores_them(
@@ -96,7 +98,8 @@ def test_report_draws_given_lanes_and_scores_them(
     code, _, _ = run("report", *tracks, "--lanes", found, "--truth", camera.truth, "--out", out)
     page = out.read_text(encoding="utf-8")
     assert code == 0
-    assert "Against the truth" in page and "2 of 2 lanes found" in page
+    assert "Against the truth" in page
+    assert "2 of 2 lanes found" in page
 
 
 # Wrong input: what to break, and the words the sentence must have.
@@ -136,7 +139,9 @@ POINTS: list[tuple[str, Callable[[list[str]], list[str]], tuple[str, ...]]] = [
 def check_refusal(result: tuple[int, str, str], out: Path, words: tuple[str, ...]) -> None:
     code, _, err = result
     assert code == 2
-    assert err.startswith("geoorbit: ") and err.count("\n") == 1 and "Traceback" not in err
+    assert err.startswith("geoorbit: ")
+    assert err.count("\n") == 1
+    assert "Traceback" not in err
     for word in words:
         assert word in err
     assert list(out.parent.iterdir()) == [], "partial output"
@@ -224,7 +229,8 @@ def test_an_input_is_never_overwritten(tmp_path: Path, camera: CameraFiles, run:
     for command in ("lanes", "report"):
         source = ("--tracks", tracks, "--calibration", camera.calibration)
         code, _, err = run(command, *source, "--out", tracks)
-        assert code == 2 and "tracks.csv" in err
+        assert code == 2
+        assert "tracks.csv" in err
     assert tracks.read_bytes() == before
 
 

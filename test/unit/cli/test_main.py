@@ -45,7 +45,8 @@ def leaf_commands() -> list[tuple[str, ...]]:
     """Every command that does something, as the words that call it."""
     words: list[tuple[str, ...]] = [(str(c.name),) for c in cli.app.registered_commands]
     for group in cli.app.registered_groups:
-        assert group.name and group.typer_instance
+        assert group.name
+        assert group.typer_instance
         words += [(group.name, str(c.name)) for c in group.typer_instance.registered_commands]
     return words
 
@@ -56,7 +57,8 @@ def test_every_command_teaches_with_an_example(
 ) -> None:
     assert cli.main([*words, "--help"]) == 0
     text = " ".join(capsys.readouterr().out.split())
-    assert "Example" in text and f"geoorbit {' '.join(words)}" in text
+    assert "Example" in text
+    assert f"geoorbit {' '.join(words)}" in text
 
 
 def test_help_loads_nothing_heavy() -> None:
@@ -92,7 +94,8 @@ def test_a_defect_keeps_its_traceback() -> None:
         "raise SystemExit(m.main(['score', 'a', 'b']))"
     )
     assert done.returncode == 1
-    assert "Traceback" in done.stderr and "ZeroDivisionError: defect" in done.stderr
+    assert "Traceback" in done.stderr
+    assert "ZeroDivisionError: defect" in done.stderr
 
 
 def test_ctrl_c_ends_quietly_with_130() -> None:

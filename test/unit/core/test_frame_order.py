@@ -21,9 +21,11 @@ def test_frames_that_pass_increase_except_at_a_restart(stamps: list[int]) -> Non
         if verdict is Verdict.NEXT:
             assert last is None or stamp > last
         elif verdict is Verdict.RESTART:
-            assert last is not None and stamp < last - 10**9
+            assert last is not None
+            assert stamp < last - 10**9
         else:
-            assert last is not None and last - 10**9 <= stamp <= last
+            assert last is not None
+            assert last - 10**9 <= stamp <= last
             continue
         last = stamp
 

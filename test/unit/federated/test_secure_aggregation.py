@@ -183,7 +183,7 @@ def test_a_client_refuses_a_server_that_could_look_under_a_mask() -> None:
         party.answer(SecureMessage(Stage.BUNDLES, 7, 99, 5, 0, few))
 
 
-def test_a_federation_under_masks_learns_as_one_without(tmp_path: Path) -> None:
+def test_a_federation_under_masks_learns_as_one_without() -> None:
     losses, reported = {}, {}
     for masks in (True, False):
         federation = Federation(NAMES, replace(CONFIG, secure_aggregation=masks, rounds=8))

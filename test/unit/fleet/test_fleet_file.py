@@ -51,7 +51,8 @@ def test_a_fleet_is_read_with_its_defaults(tmp_path: Path) -> None:
     assert [camera.id for camera in fleet.cameras] == ["north", "south"]
     assert [camera.kind for camera in fleet.cameras] == ["bag", "stream"]
     assert fleet.cameras[1].image_size == (1280, 720)
-    assert fleet.twin and fleet.twin.enabled
+    assert fleet.twin
+    assert fleet.twin.enabled
     assert file.parent == tmp_path
 
 
@@ -146,7 +147,8 @@ def test_each_camera_is_one_process_and_services_start_first(tmp_path: Path) -> 
     plans = plan_nodes(fleet, tmp_path, tmp_path / "out")
     assert [plan.name for plan in plans] == ["federated_server", "twin", "viewer", "north", "south"]
     north, south = ({n.executable: n for n in plan.nodes} for plan in plans[3:])
-    assert "bag_player" in north and "camera" not in north
+    assert "bag_player" in north
+    assert "camera" not in north
     assert {"camera", "detector", "tracker"} <= set(south)
     assert all(node.namespace == "north" for node in north.values())
     assert north["lane_geometry"].parameters["update_period_s"] == 2

@@ -157,7 +157,8 @@ def test_centrelines_and_ids_alone_are_enough(tmp_path: Path) -> None:
     lanes = read_lanes(path, DATUM).lanes
     assert [x.lane_id for x in lanes] == [1, 4]
     assert furthest_m(lanes[0].centerline_m, lane(1).centerline_m) < 1e-3
-    assert np.isnan(lanes[0].width_m) and np.isnan(lanes[0].vehicles)
+    assert np.isnan(lanes[0].width_m)
+    assert np.isnan(lanes[0].vehicles)
     assert lanes[0].status == "confirmed"
 
 
@@ -193,9 +194,9 @@ def swapped(data: dict[str, Any]) -> dict[str, Any]:
 
 
 WRONG: list[tuple[str, Any, tuple[str, ...]]] = [
-    ("not an object", lambda d: [1], ("'type'", "list", "FeatureCollection")),
+    ("not an object", lambda _: [1], ("'type'", "list", "FeatureCollection")),
     ("a bare feature", lambda d: d["features"][0], ("'Feature'", "FeatureCollection")),
-    ("no features", lambda d: {"type": "FeatureCollection"}, ("'features'", "None")),
+    ("no features", lambda _: {"type": "FeatureCollection"}, ("'features'", "None")),
     ("id missing", lambda d: first(d, "lane_id", None), ("feature 0", "'lane_id'", "whole")),
     ("id text", lambda d: first(d, "lane_id", "A"), ("feature 0", "'lane_id'", "'A'")),
     ("role", lambda d: first(d, "role", "middle"), ("'role'", "'middle'", "'centerline'")),
@@ -222,7 +223,8 @@ def test_wrong_files_are_one_sentence_with_place_and_value(
     with pytest.raises(InputFileError) as caught:
         read_lanes(path)
     message = str(caught.value)
-    assert "wrong.geojson" in message and "\n" not in message
+    assert "wrong.geojson" in message
+    assert "\n" not in message
     for word in words:
         assert word in message
 

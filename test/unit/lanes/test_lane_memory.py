@@ -124,8 +124,8 @@ def test_memory_of_another_method_or_place_is_refused(file: Path) -> None:
     run(camera(file, []), traffic(0.0, 20.0))
     with pytest.raises(InputFileError, match="'curvilinear', expected 'geolane'"):
         LaneMemory(file, "geolane").resume(make_estimator("geolane"), DATUM, 0)
+    elsewhere = Datum(43.1, -89.4)
     with pytest.raises(InputFileError, match=r"43\.1"):
-        elsewhere = Datum(43.1, -89.4)
         LaneMemory(file, "curvilinear").resume(make_estimator("curvilinear"), elsewhere, 0)
 
 

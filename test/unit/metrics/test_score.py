@@ -96,7 +96,8 @@ def test_missed_lanes_are_counted_by_their_traffic() -> None:
     assert score.missed("rare") == (4,)
     assert score.missed("unknown") == (5,)
     assert len(score.missed()) == 6
-    assert np.isnan(score.centerline_mean_m) and not score.passed
+    assert np.isnan(score.centerline_mean_m)
+    assert not score.passed
 
 
 def test_a_rare_lane_need_not_be_found_and_a_sparse_one_need_not_be_confirmed() -> None:
@@ -109,20 +110,23 @@ def test_a_rare_lane_need_not_be_found_and_a_sparse_one_need_not_be_confirmed() 
 def test_a_busy_lane_that_is_only_tentative_is_named() -> None:
     score = score_lanes([replace(lane(1), status="tentative")], [lane(1)])
     assert score.unconfirmed == (1,)
-    assert score.missed() == () and not score.passed
+    assert score.missed() == ()
+    assert not score.passed
 
 
 def test_a_second_lane_on_the_same_truth_is_invented() -> None:
     score = score_lanes([lane(1, 0.1), lane(2, 1.0)], [lane(9)])
     assert score.lanes[0].lane_id == 1
-    assert score.invented == (2,) and not score.passed
+    assert score.invented == (2,)
+    assert not score.passed
 
 
 def test_tentative_lanes_without_a_truth_are_counted_apart() -> None:
     ghost = replace(lane(2, 30.0), status="tentative")
     score = score_lanes([lane(1), ghost], [lane(9)])
     assert score.unmatched_tentative == (2,)
-    assert score.invented == () and score.passed
+    assert score.invented == ()
+    assert score.passed
 
 
 def test_a_confirmed_lane_is_preferred_to_its_tentative_double() -> None:
@@ -135,7 +139,9 @@ def test_a_confirmed_lane_is_preferred_to_its_tentative_double() -> None:
 def test_the_wrong_way_is_missed_invented_and_named() -> None:
     score = score_lanes([lane(1), lane(2, 3.5, back=True)], [lane(1), lane(2, 3.5)])
     assert score.direction_wrong == (2,)
-    assert score.missed() == (2,) and score.invented == (2,) and not score.passed
+    assert score.missed() == (2,)
+    assert score.invented == (2,)
+    assert not score.passed
 
 
 def test_opposite_lanes_side_by_side_are_told_apart_by_direction() -> None:
@@ -152,7 +158,8 @@ def test_the_gate_is_half_a_lane(offset: float, found: bool) -> None:
 
 def test_a_lane_beside_the_truth_for_a_few_metres_is_no_match() -> None:
     score = score_lanes([lane(1, start_m=170.0, end_m=370.0)], [lane(9)])
-    assert score.missed() == (9,) and score.invented == (1,)
+    assert score.missed() == (9,)
+    assert score.invented == (1,)
 
 
 def test_as_many_pairs_as_possible_then_the_nearest() -> None:
@@ -171,7 +178,8 @@ def test_width_error_ignores_truths_without_width() -> None:
 
 def test_nothing_against_nothing() -> None:
     score = score_lanes([], [])
-    assert score.passed and score.as_dict()["truth"] == 0
+    assert score.passed
+    assert score.as_dict()["truth"] == 0
 
 
 def test_projection_agrees_with_brute_force() -> None:

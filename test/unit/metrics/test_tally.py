@@ -70,7 +70,8 @@ def test_joining_is_the_same_as_adding_and_changes_only_one_side() -> None:
         both.faults,
         both.covered_m,
     )
-    assert len(other.error_m) == 1 and other.busy == 1
+    assert len(other.error_m) == 1
+    assert other.busy == 1
 
 
 def test_nothing_found_is_no_number() -> None:

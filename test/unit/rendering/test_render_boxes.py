@@ -77,8 +77,10 @@ def test_paint_never_leaves_the_box(size: tuple[float, float, float]) -> None:
     painted = np.any([difference(a, pictures[0]) > 4 for a in pictures[1:]], axis=0)
     box = camera.render_with_boxes(vehicles(place), 0.0)[1].boxes[0]
     left, top, right, bottom = extent(painted)
-    assert left >= box[0] - 2.0 and top >= box[1] - 2.0
-    assert right <= box[2] + 2.0 and bottom <= box[3] + 2.0
+    assert left >= box[0] - 2.0
+    assert top >= box[1] - 2.0
+    assert right <= box[2] + 2.0
+    assert bottom <= box[3] + 2.0
     if size != MOTORCYCLE:  # mostly rider and tyres
         assert painted.sum() > 0.25 * np.prod(box[2:] - box[:2])
 
@@ -193,7 +195,8 @@ def test_visible_shares_are_those_of_the_picture() -> None:
     assert camera.render_with_boxes(alone, 0.0)[1].visible == pytest.approx([1.0])
     behind = vehicles(on_road(239.0, 4.0), on_road(230.0, 4.0, SEMITRAILER))
     shares = camera.render_with_boxes(behind, 0.0)[1].visible
-    assert shares[0] < 0.35 and shares[1] == 1.0
+    assert shares[0] < 0.35
+    assert shares[1] == 1.0
 
 
 def test_a_vehicle_cut_by_the_border_is_flagged_and_counted_by_what_is_left() -> None:
@@ -218,7 +221,8 @@ def test_what_is_behind_the_camera_has_no_box() -> None:
     _, camera = road_and_camera()
     view = vehicles(on_road(60.0, 4.0), on_road(226.0, 4.0))
     picture, truth = renderer().render_with_boxes(view, 0.0)
-    assert np.isnan(truth.boxes[0]).all() and truth.visible[0] == 0.0
+    assert np.isnan(truth.boxes[0]).all()
+    assert truth.visible[0] == 0.0
     assert box_rows(view, truth, camera.image_size)["track_id"].tolist() == [2]
     assert picture.shape == (360, 640, 3)
 

@@ -133,7 +133,8 @@ def test_lanes_alone_are_painted_like_the_road_they_are_of() -> None:
     gap = np.min([distance_to(ground[near], line) for line in lines], axis=0)
     assert np.quantile(gap, 0.98) < 0.15
     assert (mask & road).sum() > 0.6 * mask.sum()
-    assert len(surface.dashed) == 4 and len(surface.solid) >= 4
+    assert len(surface.dashed) == 4
+    assert len(surface.solid) >= 4
     picture = SceneRenderer(camera, lanes).render(nothing(), 0.0)
     assert picture.shape == (360, 640, 3)
 
@@ -192,9 +193,11 @@ def test_lamps_shine_white_ahead_and_red_behind() -> None:
         brightest = part[np.argsort(part.sum(axis=1))[-6:]].mean(axis=0)
         blue, _, red = brightest
         if rear:
-            assert red > 1.6 * blue and red > 120
+            assert red > 1.6 * blue
+            assert red > 120
         else:
-            assert blue > 0.7 * red and red > 180
+            assert blue > 0.7 * red
+            assert red > 180
 
 
 def test_a_nearer_vehicle_hides_the_lamps_behind_it() -> None:
@@ -236,7 +239,8 @@ def test_trees_stand_beside_the_road_only() -> None:
         pavement = coverage(camera, surface.paved)
         picture = np.zeros((360, 640, 3), np.float32)
         covered = add_trees(picture, camera, light, surface, pavement, seed=2)
-        assert covered.max() > 0.9 and (covered > 0.5).mean() > 0.01
+        assert covered.max() > 0.9
+        assert (covered > 0.5).mean() > 0.01
         assert not (covered[pavement > 0.0] > 0.0).any()
 
 

@@ -45,7 +45,8 @@ class Checker(HTMLParser):
         self.attributes += attrs
 
     def handle_endtag(self, tag: str) -> None:
-        assert self.open and self.open.pop() == tag, f"</{tag}> out of place"
+        assert self.open, f"</{tag}> without a beginning"
+        assert self.open.pop() == tag, f"</{tag}> out of place"
 
 
 def lane(lane_id: int, y_m: float, *, west: bool = False, status: str = "confirmed") -> Lane:
@@ -115,7 +116,8 @@ def test_the_page_is_well_formed_and_needs_nothing_else(page: str) -> None:
     assert not {"script", "link", "iframe", "object"} & set(checker.tags)
     for name, value in checker.attributes:
         assert name not in {"src", "href", "xlink:href"}, value
-    assert "http://" not in page and "https://" not in page
+    assert "http://" not in page
+    assert "https://" not in page
     assert not re.search(r"@import|url\((?!#)", page)
 
 
@@ -128,7 +130,8 @@ def test_every_lane_is_in_the_table_and_in_both_pictures(page: str) -> None:
 
 
 def test_the_page_says_what_it_was_given(page: str) -> None:
-    assert "pole &lt;7&gt; &amp; co" in page and "pole <7>" not in page
+    assert "pole &lt;7&gt; &amp; co" in page
+    assert "pole <7>" not in page
     assert "abc123" in page
     assert "1 of 2 lanes found" in page
     assert "12 of 12 control points used" in page
@@ -144,7 +147,8 @@ def test_the_page_is_there_without_truth_sections_and_visible_range() -> None:
     bare = replace(content(), truth=None)
     bare = replace(bare, lane_map=LaneMap(0, bare.lane_map.lanes))
     html = report_html(bare)
-    assert "Against the truth" not in html and "Across the road" not in html
+    assert "Against the truth" not in html
+    assert "Across the road" not in html
 
 
 def test_paths_are_split_where_a_track_jumps_pauses_or_leaves_the_image() -> None:
@@ -182,7 +186,8 @@ def test_a_long_road_lies_along_the_page_wherever_it_points(heading: float) -> N
     frame = fit_map_frame(road)
     pixel = frame.to_pixel(road)
     assert np.ptp(pixel[:, 0]) > 0.9 * frame.size_px[0]
-    assert pixel.min() > 0 and np.all(pixel < np.array(frame.size_px))
+    assert pixel.min() > 0
+    assert np.all(pixel < np.array(frame.size_px))
     left_of_travel = frame.turn @ np.array([-along[1], along[0]])
     forward = frame.turn @ along
     turned_left = forward[0] * left_of_travel[1] - forward[1] * left_of_travel[0]

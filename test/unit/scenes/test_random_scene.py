@@ -48,9 +48,11 @@ def test_roads_and_cameras_are_as_varied_as_the_description_says(scenes: list[Sc
     turns = {np.sign(p.turn_deg) for scene in scenes for road in scene.roads for p in road.path}
     assert turns == {-1.0, 0.0, 1.0}
     widths = [scene.lane_width_m for scene in scenes]
-    assert 3.0 <= min(widths) < 3.2 and 3.6 < max(widths) <= 3.8
+    assert 3.0 <= min(widths) < 3.2
+    assert 3.6 < max(widths) <= 3.8
     heights = [camera_of(scene).centre_m[2] for scene in scenes]
-    assert 7.0 <= min(heights) < 9.0 and 18.0 < max(heights) <= 20.0
+    assert 7.0 <= min(heights) < 9.0
+    assert 18.0 < max(heights) <= 20.0
     assert {scene.camera.image_size[0] for scene in scenes} == {1280, 1920, 3840}
     assert {np.sign(scene.camera.pole.right_m) for scene in scenes} == {-1.0, 1.0}
 

@@ -221,7 +221,8 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stream, "FIRST_WAIT_S", 0.01)
 
 
-def test_a_stream_that_ends_or_stalls_is_opened_again(quick: None) -> None:
+@pytest.mark.usefixtures("quick")
+def test_a_stream_that_ends_or_stalls_is_opened_again() -> None:
     said: list[str] = []
     options = SourceOptions(
         stall_timeout_s=0.3, give_up_s=None, report=said.append, clock_ns=time.monotonic_ns
@@ -245,7 +246,8 @@ def test_a_stream_that_ends_or_stalls_is_opened_again(quick: None) -> None:
     assert sum("no more frames, opening it again in 0.01 s" in s for s in said) == 2
 
 
-def test_a_stream_that_never_answers_is_given_up_in_one_sentence(quick: None) -> None:
+@pytest.mark.usefixtures("quick")
+def test_a_stream_that_never_answers_is_given_up_in_one_sentence() -> None:
     with MjpegServer() as server:
         options = SourceOptions(open_timeout_s=0.5, give_up_s=0.1)
         address = server.address.replace("http://", "http://user:secret@") + "?token=secret"

@@ -169,13 +169,13 @@ class StandIn:
         self.settings = SimpleNamespace(synchronous_mode=False, fixed_delta_seconds=None)
         self.world = SimpleNamespace(
             get_settings=lambda: self.settings,
-            apply_settings=lambda settings: None,
+            apply_settings=lambda _: None,
             get_blueprint_library=lambda: self,
             try_spawn_actor=self._spawn,
             tick=lambda: None,
         )
-        self.Client = lambda host, port: self
-        self.set_timeout = lambda seconds: None
+        self.Client = lambda _host, _port: self
+        self.set_timeout = lambda _: None
         self.get_server_version = lambda: version
         self.get_client_version = lambda: "0.9.16"
         self.apply_batch_sync = self.batches.append
@@ -195,7 +195,7 @@ class StandIn:
             SimpleNamespace(
                 kind=kind,
                 has_attribute=lambda name: name == "base_type",
-                get_attribute=lambda name, kind=kind: SimpleNamespace(as_str=lambda: kind),
+                get_attribute=lambda _, kind=kind: SimpleNamespace(as_str=lambda: kind),
             )
             for kind in ("car", "truck", "van", "motorcycle", "bicycle")
         ]
@@ -203,7 +203,7 @@ class StandIn:
     def _spawn(self, blueprint: Any, where: Any) -> Any:
         assert isinstance(where, carla.Transform)
         self.kinds.append(blueprint.kind)
-        return SimpleNamespace(id=7, set_simulate_physics=lambda on: None)
+        return SimpleNamespace(id=7, set_simulate_physics=lambda _: None)
 
 
 def test_the_client_sends_the_librarys_own_commands() -> None:

@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -197,5 +196,5 @@ def test_a_scenario_that_the_network_has_not_is_one_sentence(
     assert "\n" not in str(error.value)
 
 
-def test_nothing_seen_is_no_demand(network: RoadNetwork, tmp_path: Path) -> None:
+def test_nothing_seen_is_no_demand(network: RoadNetwork) -> None:
     assert ObservedTraffic(network, 600.0).demand() is None

@@ -151,18 +151,23 @@ def test_vehicles_beside_the_road_and_over_each_other_stay(
     assert states.lane == ["east_1", "east_1", "", ""]
 
 
+def step_on(simulation: SumoSimulation) -> None:
+    for _ in range(3):
+        simulation.step()
+
+
 @pytest.mark.parametrize("simulation", ["traci"], indirect=True)
 def test_a_sumo_that_is_killed_is_one_sentence(simulation: SumoSimulation) -> None:
     simulation.add("a", "car", 4.6, 1.8)
     assert simulation.pid is not None
     os.kill(simulation.pid, signal.SIGKILL)
     with pytest.raises(SimulationError, match="signal 9") as error:
-        for _ in range(3):
-            simulation.step()
+        step_on(simulation)
     assert "\n" not in str(error.value)
 
 
-def test_one_simulation_per_process(simulation: SumoSimulation, net: Path) -> None:
+@pytest.mark.usefixtures("simulation")
+def test_one_simulation_per_process(net: Path) -> None:
     with pytest.raises(SimulationError, match="a second simulation in one process"):
         SumoSimulation(net, 0.1)
 
