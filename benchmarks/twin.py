@@ -26,7 +26,7 @@ from geoorbit_ros.scenes.network import write_network
 from geoorbit_ros.scenes.road_plan import Bend, Opposite, Road, Start, Straight
 from geoorbit_ros.scenes.roads import PlacedRoad, place_roads
 from geoorbit_ros.scenes.scene import load_scene
-from geoorbit_ros.twin.simulation import SumoSimulation, backend_of
+from geoorbit_ros.twin.sumo_simulation import SumoSimulation, backend_of
 from geoorbit_ros.twin.synchronizer import Synchronizer
 
 STEP_S = 0.1
@@ -118,7 +118,7 @@ def measure(net: Path, backend: str, count: int) -> Cost:
         took.append(time.perf_counter() - start)
         cpu_s += time.process_time() - start_cpu
     cpu_s += program_cpu_s(simulation.pid) - before_s
-    assert len(twin.fleet.slots) == count, "every vehicle is in the twin"
+    assert len(twin.vehicles.slots) == count, "every vehicle is in the twin"
     simulation.close()
     return Cost(cpu_s / len(took), took)
 

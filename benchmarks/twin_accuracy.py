@@ -45,7 +45,7 @@ from geoorbit_ros.storage.track_csv import read_track_csv
 from geoorbit_ros.tracking.parameters import TrackerParameters
 from geoorbit_ros.tracking.tracker import Tracker
 from geoorbit_ros.twin.replay import STEP_S, TrackStream, replay_tracks
-from geoorbit_ros.twin.simulation import SumoSimulation
+from geoorbit_ros.twin.sumo_simulation import SumoSimulation
 from scores.twin_truth import LaneTruth
 
 DURATION_S = 60.0

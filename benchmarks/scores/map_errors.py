@@ -8,9 +8,9 @@ from typing import Literal
 import numpy as np
 
 from geoorbit_ros.core.polylines import offset_line
+from geoorbit_ros.roadnet.map_build import write_moved
 from geoorbit_ros.roadnet.network import RoadNetwork
 from geoorbit_ros.roadnet.plain_network import LaneEdit, PlainNetwork
-from geoorbit_ros.roadnet.reproject import write_moved
 
 Error = Literal["missing", "extra", "shifted", "width", "direction", "offset"]
 SHIFT_M, WIDTH_M = 1.0, 0.8

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.roadnet.network import NONE, RoadNetwork
+from geoorbit_ros.roadnet.network import NO_LANE, RoadNetwork
 from geoorbit_ros.scenes.simulate import START_NS
 from geoorbit_ros.scenes.traffic import STEP_S, TrafficRecord
 from geoorbit_ros.twin.placement import TwinStep
@@ -73,7 +73,7 @@ class LaneTruth:
         self.score = LaneScore()
         self._record, self._network = record, network
         names = [f"{road}_{lane}" for road, lane in record.lane_names]
-        self._lane = np.array([network.number[name] for name in names] + [NONE])
+        self._lane = np.array([network.number[name] for name in names] + [NO_LANE])
         self._crossing = self._find_crossings()
         self._before: tuple[int, dict[int, NDArray[np.float64]]] = (0, {})
 
@@ -101,8 +101,8 @@ class LaneTruth:
         self.score.doubled += int(along_with.sum()) - len(np.unique(nearest[along_with]))
         true_lane = self._lane[record.lane[now]][nearest[known]]
         lane = step.lane[seen[known]]
-        inside = (lane != NONE) & self._network.internal[np.maximum(lane, 0)]
-        counted = (true_lane != NONE) & ~inside
+        inside = (lane != NO_LANE) & self._network.internal[np.maximum(lane, 0)]
+        counted = (true_lane != NO_LANE) & ~inside
         right = lane == true_lane
         crossing = self._crossing[now][nearest[known]]
         self.score.right += int(np.count_nonzero(counted & right & ~crossing))

@@ -94,7 +94,7 @@ class _Run:
         """Number and rows of every image; at the end, draws the picture."""
         from geoorbit_ros.cli.console import track
         from geoorbit_ros.detection.road_segments import RoadSegments
-        from geoorbit_ros.report.image_overlay import draw_segments, write_picture
+        from geoorbit_ros.report.image_overlay import draw_segments, write_image
 
         counts = [images.frame_count] if images.frame_count else []
         if duration_s is not None and images.fps:
@@ -115,7 +115,7 @@ class _Run:
         if not self.count:
             raise ParameterError(images.name, "no images", "at least one")
         if self._picture and self._segments:
-            write_picture(self._picture, draw_segments(last, self._segments))
+            write_image(self._picture, draw_segments(last, self._segments))
 
 
 def _opened(source: str, fps: float | None, duration_s: float | None) -> FrameSource:

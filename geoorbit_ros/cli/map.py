@@ -49,7 +49,7 @@ def build(
     from geoorbit_ros.core.errors import ParameterError
     from geoorbit_ros.roadnet.map_build import build_from_network, build_from_osm
     from geoorbit_ros.storage.atomic import atomic_output
-    from geoorbit_ros.twin.image import save_map
+    from geoorbit_ros.twin.figures import save_network_figure
 
     origin = parse_datum(datum)
     with atomic_output(out) as folder:
@@ -63,7 +63,7 @@ def build(
                 found = "neither" if area is None else "both"
                 expected = "exactly one of them"
                 raise ParameterError("an OpenStreetMap extract and --net", found, expected)
-            save_map(folder / "map.png", built.network)
+            save_network_figure(folder / "map.png", built.network)
     _print_map(built)
     console.print(f" Wrote {out}", soft_wrap=True)
 

@@ -58,7 +58,7 @@ def report(
     from geoorbit_ros.lanes.geojson import read_lane_file, read_lanes
     from geoorbit_ros.lanes.pipeline import map_lanes
     from geoorbit_ros.report.recording import Recording
-    from geoorbit_ros.report.words import summary_sentence
+    from geoorbit_ros.report.text import summary_sentence
 
     camera = load_camera(tracks, bag, calibration, camera_id, image_size, datum, out)
     true = read_lanes(truth, camera.datum).lanes if truth else None

@@ -184,7 +184,7 @@ def _print_run(result: SceneRun, out: Path) -> None:
 
 def _print_lanes(name: str, lanes: tuple[Lane, ...]) -> None:
     from geoorbit_ros.cli.console import console, make_table
-    from geoorbit_ros.report.words import compass
+    from geoorbit_ros.report.text import compass
 
     table = make_table(f"True lanes of {name}", ">lane|direction|>width m|>vehicles|>visible m")
     for lane in lanes:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from geoorbit_ros.cli.console import console, make_table, say
-from geoorbit_ros.report.words import (
+from geoorbit_ros.report.text import (
     compass,
     missing_sentence,
     number,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -13,12 +12,11 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.polylines import project, sample
 from geoorbit_ros.exchange.provenance import file_facts, lane_facts
 from geoorbit_ros.lanes.geojson import LaneFile
-from geoorbit_ros.roadnet.netconvert import netconvert_path
+from geoorbit_ros.roadnet.netconvert import netconvert
 
 MAX_GAP_M = 1.0
 """Between the boundaries of neighbours."""
@@ -26,6 +24,8 @@ MAX_TURN_RAD = np.radians(20.0)
 MIN_SHARE = 0.6
 """Of the longer lane's length that lies beside the shorter one."""
 STEP_M = 2.0
+SPEED_M_S = 13.89
+"""50 km/h; a lane map knows no limits."""
 
 
 def carriageways(lanes: Sequence[Lane]) -> list[list[Lane]]:
@@ -70,44 +70,26 @@ def _offset_m(lane: Lane, reference: Lane) -> float:
     return float(project(np.array([[x, y]]), reference.centerline_m).offset_m[0])
 
 
-TIME_LIMIT_S = 120.0
-SPEED_M_S = 13.89
-"""50 km/h; a lane map knows no limits."""
-
-
-class ExchangeError(GeoOrbitError):
-    """A lane map that another program refuses."""
-
-
 def to_sumo(file: LaneFile) -> str:
     """The map as the text of a `.net.xml` file.
 
     Raises:
-        ExchangeError: netconvert refuses the lanes or doesn't end.
-        NetworkError: SUMO is not installed.
+        RoadNetworkError: SUMO is not installed, or netconvert refuses the lanes.
     """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         nodes, edges = _plain_xml(file)
         for plain, root in (("lanes.nod.xml", nodes), ("lanes.edg.xml", edges)):
             Xml.ElementTree(root).write(folder / plain, encoding="utf-8", xml_declaration=True)
-        command = [
-            netconvert_path(),
-            *("--node-files", "lanes.nod.xml", "--edge-files", "lanes.edg.xml"),
-            *("--output-file", "lanes.net.xml", "--offset.disable-normalization"),
-            *("--precision", "4", "--no-internal-links", "--no-turnarounds"),
-        ]
-        try:
-            done = subprocess.run(
-                command, cwd=folder, capture_output=True, text=True, timeout=TIME_LIMIT_S
-            )
-        except subprocess.TimeoutExpired as error:
-            raise ExchangeError(
-                "netconvert", f"no end after {TIME_LIMIT_S:g} s", "a net"
-            ) from error
-        if done.returncode:
-            reason = " ".join(done.stderr.split())
-            raise ExchangeError("netconvert", reason, "a network of the lanes")
+        netconvert(
+            [
+                *("--node-files", "lanes.nod.xml", "--edge-files", "lanes.edg.xml"),
+                *("--output-file", "lanes.net.xml", "--offset.disable-normalization"),
+                *("--precision", "4", "--no-internal-links", "--no-turnarounds"),
+            ],
+            f"lanes of '{file.camera_id}'",
+            folder,
+        )
         return (folder / "lanes.net.xml").read_text(encoding="utf-8")
 
 
@@ -125,8 +107,8 @@ def _plain_xml(file: LaneFile) -> tuple[Xml.Element, Xml.Element]:
     )
     for group in carriageways(file.lane_map.lanes):
         name = f"lanes_{'_'.join(str(lane.lane_id) for lane in group)}"
-        spine = group[len(group) // 2].centerline_m
-        for end, (x, y) in (("start", spine[0]), ("end", spine[-1])):
+        reference_line = group[len(group) // 2].centerline_m
+        for end, (x, y) in (("start", reference_line[0]), ("end", reference_line[-1])):
             Xml.SubElement(nodes, "node", id=f"{name}_{end}", x=f"{x:.4f}", y=f"{y:.4f}")
         edge = Xml.SubElement(
             edges,
@@ -134,7 +116,7 @@ def _plain_xml(file: LaneFile) -> tuple[Xml.Element, Xml.Element]:
             {"id": name, "from": f"{name}_start", "to": f"{name}_end"},
             numLanes=str(len(group)),
             speed=f"{SPEED_M_S}",
-            shape=_shape(spine),
+            shape=_shape(reference_line),
             spreadType="center",
         )
         for index, lane in enumerate(group):

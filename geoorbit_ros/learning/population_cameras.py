@@ -33,9 +33,8 @@ from geoorbit_ros.learning.parameter_search import (
 from geoorbit_ros.learning.population import Fleet, Recording, Split, scene_task, thin
 from geoorbit_ros.learning.processes import Progress, quiet, spread, watched
 from geoorbit_ros.learning.validation import roles
-from geoorbit_ros.roadnet.camera_view import view_polygon
 from geoorbit_ros.roadnet.network import load_network
-from geoorbit_ros.roadnet.reference_lanes import reference_lanes
+from geoorbit_ros.roadnet.reference_lanes import reference_lanes, view_polygon
 from geoorbit_ros.storage.atomic import atomic_output
 from geoorbit_ros.storage.track_csv import read_track_csv
 

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import NoTrafficError
 from geoorbit_ros.core.lanes import Lane
-from geoorbit_ros.mapcheck.overlay import LaneSamples, Offsets, lanes_near, offsets, sample_lines
+from geoorbit_ros.mapcheck.offsets import LaneSamples, Offsets, lanes_near, offsets, sample_lines
 from geoorbit_ros.roadnet.network import RoadNetwork
 
 SEARCH_M, SEARCH_STEP_M = 4.0, 0.25

@@ -1,6 +1,6 @@
 """Where aligned lanes and a network differ: missing, extra, shifted, other width, other direction.
 
-What has no partner (`mapcheck/partners.py`) is missing in the map, or has not been seen by the
+What has no partner (`mapcheck/offsets.py`) is missing in the map, or has not been seen by the
 camera; what has one is compared with it, edge by edge.
 """
 
@@ -18,8 +18,7 @@ from geoorbit_ros.mapcheck.alignment import Alignment
 from geoorbit_ros.mapcheck.driven_lanes import DrivenLane
 from geoorbit_ros.mapcheck.empty_lanes import MIN_LENGTH_M, find_extra
 from geoorbit_ros.mapcheck.findings import Finding, Unseen
-from geoorbit_ros.mapcheck.overlay import lanes_near, offsets, sample_lines
-from geoorbit_ros.mapcheck.partners import Partners, find_partners
+from geoorbit_ros.mapcheck.offsets import Partners, find_partners, lanes_near, offsets, sample_lines
 from geoorbit_ros.roadnet.network import RoadNetwork
 
 BESIDE_M = 6.0

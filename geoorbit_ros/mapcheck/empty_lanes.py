@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.polylines import project
 from geoorbit_ros.mapcheck.findings import Finding, Unseen
-from geoorbit_ros.mapcheck.partners import Partners
+from geoorbit_ros.mapcheck.offsets import Partners
 from geoorbit_ros.roadnet.network import RoadNetwork
 
 MIN_LENGTH_M = 20.0

@@ -22,10 +22,10 @@ from geoorbit_ros.mapcheck.driven_lanes import DrivenLane, moved_line, places_al
 from geoorbit_ros.mapcheck.findings import Finding
 from geoorbit_ros.mapcheck.validation import Validation, validate
 from geoorbit_ros.roadnet.errors import RoadNetworkError
+from geoorbit_ros.roadnet.map_build import write_moved
 from geoorbit_ros.roadnet.netconvert import drop_header
 from geoorbit_ros.roadnet.network import RoadNetwork, load_network
 from geoorbit_ros.roadnet.plain_network import LaneEdit, PlainNetwork
-from geoorbit_ros.roadnet.reproject import write_moved
 
 NETWORK, FOLDER = "network.net.xml", "patch"
 

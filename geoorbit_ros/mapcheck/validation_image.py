@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.polylines import offset_line
 from geoorbit_ros.mapcheck.findings import Finding, Kind
-from geoorbit_ros.mapcheck.overlay import lanes_near
+from geoorbit_ros.mapcheck.offsets import lanes_near
 from geoorbit_ros.mapcheck.validation import Validation, say_alignment
 from geoorbit_ros.roadnet.network import RoadNetwork
 

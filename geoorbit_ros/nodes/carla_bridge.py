@@ -21,9 +21,8 @@ from geoorbit_ros.nodes.support.process import run_node
 from geoorbit_ros.nodes.support.qos import LATCHED
 from geoorbit_ros.nodes.support.table_stream import TableStream, stream_qos
 from geoorbit_ros.twin.cameras import read_carla_cameras, split_names
-from geoorbit_ros.twin.carla.client import CarlaClient
+from geoorbit_ros.twin.carla.client import CarlaClient, CarlaVehicles
 from geoorbit_ros.twin.carla.frame import read_opendrive
-from geoorbit_ros.twin.carla.vehicles import CarlaFleet
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +62,7 @@ class CarlaBridgeNode(GeoOrbitNode[CarlaBridgeParameters]):
         names = split_names(p.cameras, f"{place}'cameras'") if p.cameras else []
         cameras = read_carla_cameras(names, p.calibrations, p.image_sizes, place, self._origin)
         self.server = CarlaClient(p.host, p.port, p.timeout_s, road, p.step_s)
-        self.fleet = CarlaFleet(self.server)
+        self.vehicles = CarlaVehicles(self.server)
         self._offset: NDArray[np.float64] | None = None
         self._stamp_ns, self._pictures = 0, 0
         qos = stream_qos(p.reliability, p.queue_depth)
@@ -76,19 +75,19 @@ class CarlaBridgeNode(GeoOrbitNode[CarlaBridgeParameters]):
 
     def diagnostic_values(self) -> Mapping[str, object]:
         """Vehicles in CARLA, those without room, and pictures."""
-        fleet = self.fleet
+        vehicles = self.vehicles
         return {
             "located": "no" if self._offset is None else "yes",
-            "vehicles": len(fleet.actors),
-            "without_room": fleet.refused,
+            "vehicles": len(vehicles.actors),
+            "without_room": vehicles.refused,
             "pictures": self._pictures,
         }
 
     def close(self) -> None:
         """Leave the server as it was."""
-        if hasattr(self, "fleet"):
+        if hasattr(self, "vehicles"):
             try:
-                self.fleet.close()
+                self.vehicles.close()
                 self.server.close()
             except GeoOrbitError as error:
                 self.get_logger().warning(str(error))
@@ -106,7 +105,7 @@ class CarlaBridgeNode(GeoOrbitNode[CarlaBridgeParameters]):
             place = self.resolve_topic_name("twin/datum")
             raise MessageError(place, "tracks before it", "where the twin's map frame lies")
         self._stamp_ns = stamp_ns
-        self.fleet.update(rows, self._offset)
+        self.vehicles.update(rows, self._offset)
 
     def _on_image(
         self, publisher: object, name: str, time_s: float, image: NDArray[np.uint8]

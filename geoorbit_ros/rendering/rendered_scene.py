@@ -148,7 +148,7 @@ def render_scene(
 
     Raises:
         ParameterError: A duration, seed, rate or size out of range.
-        NetworkError, TrafficError: SUMO is not installed, or refuses the scene.
+        RoadNetworkError, TrafficError: SUMO is not installed, or refuses the scene.
     """
     camera = scene.camera
     if fps is not None:

@@ -19,7 +19,7 @@ from geoorbit_ros.detection.detector import Image
 from geoorbit_ros.detection.road_segments import RoadSegments
 from geoorbit_ros.report.image_text import write_text
 from geoorbit_ros.report.lane_drawing import direction_groups
-from geoorbit_ros.report.words import compass
+from geoorbit_ros.report.text import compass
 
 Colour = tuple[int, int, int]
 
@@ -216,7 +216,7 @@ def draw_segments(image: Image, segments: RoadSegments) -> Image:
     return np.asarray(drawn, dtype=np.uint8)
 
 
-def write_picture(path: Path, image: NDArray[np.uint8]) -> None:
+def write_image(path: Path, image: NDArray[np.uint8]) -> None:
     """Write a .png or .jpg.
 
     Raises:

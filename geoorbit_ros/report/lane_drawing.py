@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.report.svg import Canvas
-from geoorbit_ros.report.words import compass, number
+from geoorbit_ros.report.text import compass, number
 
 ToPixel = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 """(N, 2) metres in the map frame to (N, 2) pixels of the picture; NaN where not in view."""

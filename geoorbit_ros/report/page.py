@@ -17,8 +17,7 @@ from geoorbit_ros.core.lanes import Lane, LaneMap
 from geoorbit_ros.metrics.score import score_lanes
 from geoorbit_ros.report.recording import Recording
 from geoorbit_ros.report.tables import calibration_table, facts, lane_table, score_table
-from geoorbit_ros.report.views import image_view, map_view, section_view
-from geoorbit_ros.report.words import (
+from geoorbit_ros.report.text import (
     compass,
     count,
     missing_sentence,
@@ -26,6 +25,7 @@ from geoorbit_ros.report.words import (
     score_sentences,
     summary_sentence,
 )
+from geoorbit_ros.report.views import image_view, map_view, section_view
 
 
 @dataclass(frozen=True, slots=True)

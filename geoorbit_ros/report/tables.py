@@ -11,7 +11,7 @@ from geoorbit_ros.calibration.homography import Homography
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.metrics.lane_score import LaneScore
 from geoorbit_ros.report.lane_drawing import direction_groups
-from geoorbit_ros.report.words import compass, number
+from geoorbit_ros.report.text import compass, number
 
 
 def table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

@@ -17,7 +17,7 @@ from geoorbit_ros.report.lane_drawing import (
     draw_paths,
 )
 from geoorbit_ros.report.svg import Canvas, nice_step
-from geoorbit_ros.report.words import compass
+from geoorbit_ros.report.text import compass
 
 IMAGE_WIDTH_PX = 1040.0
 

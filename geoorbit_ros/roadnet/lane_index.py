@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from geoorbit_ros.roadnet.network import NONE, RoadNetwork
+from geoorbit_ros.roadnet.network import NO_LANE, RoadNetwork
 
 PIECE_M = 8.0
 """Lanes are searched in pieces of this length: longer ones need a wider search."""
@@ -27,7 +27,7 @@ class Candidates:
     """The lanes near M points, at most C each, ordered by lane number; the rest is padding.
 
     Attributes:
-        lane: (M, C) lane number, `NONE` for padding.
+        lane: (M, C) lane number, `NO_LANE` for padding.
         offset_m: (M, C) distance to the left of the centre line.
         past_m: (M, C) distance before the lane's beginning or after its end; 0 beside it.
         arc_m: (M, C) place along the lane.
@@ -82,7 +82,7 @@ class LaneIndex:
         chosen = (row, order[row, column])
         part = at[chosen]
         found = Candidates(
-            lane=np.full((len(xy), CANDIDATES), NONE),
+            lane=np.full((len(xy), CANDIDATES), NO_LANE),
             **{name: np.zeros((len(xy), CANDIDATES)) for name in _PLACES},
         )
         found.lane[place] = self._lane[part]

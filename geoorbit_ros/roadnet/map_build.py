@@ -1,26 +1,30 @@
-"""OpenStreetMap, or a network there is, to a SUMO network and OpenDRIVE, by SUMO's netconvert."""
+"""A SUMO network and OpenDRIVE from OpenStreetMap or another network; networks moved as a whole."""
 
 from __future__ import annotations
 
 import gzip
 import json
-import subprocess
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from xml.etree import ElementTree as Xml
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.roadnet.errors import RoadNetworkError
-from geoorbit_ros.roadnet.netconvert import drop_header, last_line, netconvert_path
+from geoorbit_ros.roadnet.netconvert import drop_header, netconvert, netconvert_version
 from geoorbit_ros.roadnet.network import RoadNetwork, load_network
 from geoorbit_ros.roadnet.network_file import parse_xml
-from geoorbit_ros.roadnet.reproject import write_reprojected
 
+Move = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+"""Takes points (N, 2) to where they are to be."""
+
+_SHAPES = ("shape", "outlineShape")
 NETWORK, OPENDRIVE, RECORD = "network.net.xml", "road.xodr", "map.json"
 LANE_WIDTH_M = 3.5
 """Between the 3.66 m of US freeways (AASHTO) and the 3.25 m of European city streets."""
-TIME_LIMIT_S = 600.0
 _OSM_EXPECTED = "an OpenStreetMap extract (.osm or .osm.gz)"
 _OSM_OPTIONS = (
     "--geometry.remove=true",
@@ -62,8 +66,7 @@ def build_from_osm(
         lane_width_m: For lanes whose width the map doesn't state.
 
     Raises:
-        RoadNetworkError: No map, no road in it, or netconvert refuses it.
-        NetworkError: SUMO is not installed.
+        RoadNetworkError: No map, no road in it, netconvert refuses it, or SUMO is not installed.
     """
     datum = datum or _middle_of_roads(area)
     source = area
@@ -91,8 +94,7 @@ def build_from_network(net: Path, folder: Path, datum: Datum | None = None) -> B
         datum: Origin of the coordinates; default: the middle of the network.
 
     Raises:
-        RoadNetworkError: The network can't be used, or netconvert refuses it.
-        NetworkError: SUMO is not installed.
+        RoadNetworkError: The network can't be used, netconvert refuses it, or SUMO is missing.
     """
     network = load_network(net, datum)
     write_reprojected(network, folder / NETWORK)
@@ -117,7 +119,7 @@ def _finish(
         "datum": {"latitude_deg": datum.latitude_deg, "longitude_deg": datum.longitude_deg},
         "projection": datum.proj_string,
         "netconvert": {
-            "version": _version(),
+            "version": netconvert_version(),
             "network_options": options,
             "opendrive_options": export,
             "warnings": list(warnings),
@@ -161,27 +163,6 @@ def _middle_of_roads(area: Path) -> Datum:
     return Datum(round(float(latitude), 7), round(float(longitude), 7))
 
 
-def netconvert(arguments: list[str], place: str) -> tuple[str, ...]:
-    """Run netconvert (arguments without the program); its warnings.
-
-    Raises:
-        RoadNetworkError: It ends with an error, or not at all.
-    """
-    try:
-        done = subprocess.run(
-            [netconvert_path(), *arguments], capture_output=True, text=True, timeout=TIME_LIMIT_S
-        )
-    except subprocess.TimeoutExpired as error:
-        found = f"netconvert still at work after {TIME_LIMIT_S:g} s"
-        raise RoadNetworkError(place, found, "a smaller area") from error
-    said = [line.strip() for line in done.stderr.splitlines()]
-    if done.returncode != 0:
-        errors = [line.removeprefix("Error: ") for line in said if line.startswith("Error:")]
-        found = f"netconvert says: {errors[0][:300] if errors else last_line(done.stderr)}"
-        raise RoadNetworkError(place, found, "a map that netconvert takes")
-    return tuple(line.removeprefix("Warning: ") for line in said if line.startswith("Warning:"))
-
-
 def _check_opendrive(path: Path, datum: Datum) -> int:
     """Make sure of the georeference that CARLA reads; the number of roads outside junctions.
 
@@ -195,8 +176,57 @@ def _check_opendrive(path: Path, datum: Datum) -> int:
     return sum(road.get("junction") == "-1" for road in root.iter("road"))
 
 
-def _version() -> str:
-    done = subprocess.run(
-        [netconvert_path(), "--version"], capture_output=True, text=True, timeout=TIME_LIMIT_S
-    )
-    return done.stdout.splitlines()[0].strip() if done.stdout else "unknown"
+def write_reprojected(network: RoadNetwork, out: Path) -> None:
+    """Write a network with all its coordinates in the map frame at `network.datum`.
+
+    Ids, connections, widths and rules stay; so do SUMO's lane lengths, which a projection's scale
+    changes by 4e-4 at most (UTM).
+    """
+    root = parse_xml(network.path).getroot()
+    bounds = _move(root, network.plane.to_map.points)
+    place = root.find("location")
+    if place is None:
+        place = Xml.SubElement(root, "location", origBoundary="0,0,0,0")
+    place.set("netOffset", "0.00,0.00")
+    place.set("convBoundary", bounds)
+    place.set("projParameter", network.datum.proj_string)
+    Xml.ElementTree(root).write(out, encoding="utf-8", xml_declaration=True)
+
+
+def write_moved(network: RoadNetwork, move: Move, out: Path) -> None:
+    """Write a network with all of it moved; its coordinates stay of the kind they are.
+
+    Args:
+        network: The network.
+        move: Takes points (N, 2) of the map frame to where they are to be.
+        out: The file.
+    """
+    root = parse_xml(network.path).getroot()
+    plane = network.plane
+    bounds = _move(root, lambda xy: plane.to_network.points(move(plane.to_map.points(xy))))
+    if (place := root.find("location")) is not None:
+        place.set("convBoundary", bounds)
+    Xml.ElementTree(root).write(out, encoding="utf-8", xml_declaration=True)
+
+
+def _move(root: Xml.Element, move: Move) -> str:
+    """Move all coordinates; the boundary of the result as SUMO writes it."""
+    points = []
+    for element in root.iter():
+        for name in _SHAPES:
+            shape = element.get(name)
+            if not shape:
+                continue
+            words = [word.split(",") for word in shape.split()]
+            moved = move(np.array([[float(word[0]), float(word[1])] for word in words]))
+            points.append(moved)
+            rest = ["," + ",".join(word[2:]) if word[2:] else "" for word in words]
+            text = (f"{x:.3f},{y:.3f}{z}" for (x, y), z in zip(moved, rest, strict=True))
+            element.set(name, " ".join(text))
+        if element.tag == "junction" and element.get("x") is not None:
+            x, y = move(np.array([[float(element.attrib["x"]), float(element.attrib["y"])]]))[0]
+            element.set("x", f"{x:.3f}")
+            element.set("y", f"{y:.3f}")
+    bounds = np.concatenate(points)
+    corners = (*bounds.min(axis=0), *bounds.max(axis=0))
+    return ",".join(f"{value:.2f}" for value in corners)

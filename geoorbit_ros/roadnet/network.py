@@ -18,7 +18,7 @@ from geoorbit_ros.roadnet.errors import RoadNetworkError
 from geoorbit_ros.roadnet.network_file import LaneRecord, read_network_file
 from geoorbit_ros.roadnet.plane import NetworkPlane
 
-NONE = -1
+NO_LANE = -1
 """No lane, where a lane's number is expected."""
 
 
@@ -37,7 +37,7 @@ class RoadNetwork:
         width_m: (L,).
         speed_mps: (L,) speed limits.
         length_m: (L,) length of the centre line in the map frame.
-        left: (L,) next lane to the left in the same edge, or `NONE`.
+        left: (L,) next lane to the left in the same edge, or `NO_LANE`.
         right: (L,) next lane to the right.
         start: (L + 1,) points of lane k are `point_m[start[k]:start[k + 1]]`.
         point_m: (P, 2) centre lines in travel order, map frame.
@@ -177,7 +177,7 @@ def _assemble(
     length = arc[start[1:] - 1] - arc[start[:-1]]
 
     def beside(shift: int) -> NDArray[np.int64]:
-        return np.array([by_place.get((e.edge_id, e.index + shift), NONE) for e in lanes])
+        return np.array([by_place.get((e.edge_id, e.index + shift), NO_LANE) for e in lanes])
 
     return RoadNetwork(
         path=path,

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.roadnet.errors import RoadNetworkError
-from geoorbit_ros.roadnet.map_build import netconvert
+from geoorbit_ros.roadnet.netconvert import netconvert
 from geoorbit_ros.roadnet.network_file import DEFAULT_WIDTH_M, parse_xml
 
 BASE, PATCH = "base", "patch"

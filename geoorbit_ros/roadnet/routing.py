@@ -14,8 +14,8 @@ MAX_EDGES = 50
 """No camera misses more edges between two places that it sees."""
 
 
-class Ways:
-    """Ways between edges over edges that no camera saw.
+class RouteFinder:
+    """RouteFinder between edges over edges that no camera saw.
 
     Args:
         network: The roads.
@@ -82,7 +82,7 @@ class LanePlace:
     ended: bool
 
 
-def walk(
+def place_ahead(
     network: RoadNetwork,
     lane: int,
     arc_m: float,
@@ -109,7 +109,7 @@ def walk(
         if towards is None or len(choice) == 1:
             lane = choice[0]
         else:
-            ends = [walk(network, c, arc_m, 0.0, towards).xy for c in choice]
+            ends = [place_ahead(network, c, arc_m, 0.0, towards).xy for c in choice]
             lane = choice[int(np.argmin([np.hypot(*(end - towards)) for end in ends]))]
     line, arc = network.line(lane), network.arc(lane)
     k = min(max(int(np.searchsorted(arc, arc_m, side="right")) - 1, 0), len(line) - 2)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 from pathlib import Path
 from xml.etree import ElementTree as Xml
 
@@ -10,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.datum import Datum
-from geoorbit_ros.roadnet.netconvert import TIME_LIMIT_S, NetworkError, last_line, netconvert_path
+from geoorbit_ros.roadnet.netconvert import netconvert
 from geoorbit_ros.scenes.roads import PlacedRoad, successors
 
 
@@ -23,7 +22,7 @@ def write_network(placed: dict[str, PlacedRoad], folder: Path, datum: Datum | No
         datum: Origin of the map frame; with it the network says where on earth it lies.
 
     Raises:
-        NetworkError: netconvert is not there, refuses the roads or does not end.
+        RoadNetworkError: netconvert is not there, refuses the roads or does not end.
     """
     nodes, edges = Xml.Element("nodes"), Xml.Element("edges")
     connections = Xml.Element("connections")
@@ -60,23 +59,19 @@ def write_network(placed: dict[str, PlacedRoad], folder: Path, datum: Datum | No
     for stem, tree in (("nod", nodes), ("edg", edges), ("con", connections)):
         Xml.ElementTree(tree).write(folder / f"scene.{stem}.xml", encoding="utf-8")
     net = folder / "scene.net.xml"
-    command = [
-        netconvert_path(),
-        f"--node-files={folder / 'scene.nod.xml'}",
-        f"--edge-files={folder / 'scene.edg.xml'}",
-        f"--connection-files={folder / 'scene.con.xml'}",
-        f"--output-file={net}",
-        "--offset.disable-normalization=true",
-        "--no-turnarounds=true",
-        "--junctions.limit-turn-speed=-1",
-        "--geometry.max-angle.fix=false",
-    ]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=TIME_LIMIT_S)
-    except subprocess.TimeoutExpired as error:
-        raise NetworkError("netconvert", f"no end after {TIME_LIMIT_S} s", "a network") from error
-    if done.returncode != 0 or not net.exists():
-        raise NetworkError("netconvert", last_line(done.stderr), "a network")
+    netconvert(
+        [
+            f"--node-files={folder / 'scene.nod.xml'}",
+            f"--edge-files={folder / 'scene.edg.xml'}",
+            f"--connection-files={folder / 'scene.con.xml'}",
+            f"--output-file={net}",
+            "--offset.disable-normalization=true",
+            "--no-turnarounds=true",
+            "--junctions.limit-turn-speed=-1",
+            "--geometry.max-angle.fix=false",
+        ],
+        "the scene's roads",
+    )
     if datum is not None:
         text = net.read_text(encoding="utf-8")
         origin = f'projParameter="{datum.proj_string}"'

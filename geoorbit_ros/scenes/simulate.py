@@ -78,7 +78,7 @@ def simulate(
 
     Raises:
         ParameterError: A duration or a seed out of range.
-        NetworkError, TrafficError: SUMO is not installed, or refuses the scene.
+        RoadNetworkError, TrafficError: SUMO is not installed, or refuses the scene.
     """
     check_range("duration", duration_s, MIN_DURATION_S, MAX_DURATION_S, "s")
     check_range("seed", seed, 0, MAX_SEED)

@@ -69,7 +69,7 @@ def simulate_traffic(
 
     Raises:
         TrafficError: SUMO stops with an error or does not end.
-        NetworkError: The roads make no network.
+        RoadNetworkError: The roads make no network.
     """
     with tempfile.TemporaryDirectory(prefix="geoorbit_scene_") as name:
         folder = Path(name)

@@ -14,7 +14,7 @@ from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.calibration.plane import Homography
 from geoorbit_ros.core.errors import InputFileError, ParameterError
-from geoorbit_ros.roadnet.camera_view import view_polygon
+from geoorbit_ros.roadnet.reference_lanes import view_polygon
 from geoorbit_ros.twin.carla.frame import CarlaCamera, camera_pose
 
 

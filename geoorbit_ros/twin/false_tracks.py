@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.twin.vehicles import Fleet
+from geoorbit_ros.twin.vehicles import Vehicles
 
 MAX_BRAKING_MPS2 = 9.0
 """Dry asphalt; trackers smooth speeds, and so show less."""
@@ -29,16 +29,16 @@ LEAVES_M = 10.0
 """A ghost that moves by more has become a vehicle's track again."""
 
 
-class GhostWatch:
+class FalseTrackWatch:
     """Finds vehicles that are none, and remembers which tracks show them.
 
     Args:
-        fleet: The vehicles.
+        vehicles: The vehicles.
         cameras: How many there are.
     """
 
-    def __init__(self, fleet: Fleet, cameras: int) -> None:
-        self._fleet = fleet
+    def __init__(self, vehicles: Vehicles, cameras: int) -> None:
+        self._vehicles = vehicles
         self._places: list[dict[int, NDArray[np.float64]]] = [{} for _ in range(cameras)]
         self._grazed: dict[int, set[int]] = {}  # by standing vehicle: who drove over its side
 
@@ -67,7 +67,7 @@ class GhostWatch:
 
     def find(self, now_ns: int, step_s: float) -> NDArray[np.int64]:
         """Slots of vehicles seen in this step that can't be vehicles."""
-        table, slots = self._fleet.table, self._fleet.slots
+        table, slots = self._vehicles.table, self._vehicles.slots
         seen = slots[table["observed"][slots]]
         speed = np.hypot(*table["velocity"][seen].T)
         possible = table["possible_mps"][seen] - MAX_BRAKING_MPS2 * step_s
@@ -87,7 +87,7 @@ class GhostWatch:
         speed: NDArray[np.float64],
         stands: NDArray[np.bool_],
     ) -> NDArray[np.bool_]:
-        table = self._fleet.table
+        table = self._vehicles.table
         flag = np.zeros(len(seen), dtype=np.bool_)
         sharp = (table["sigma"][seen] < MAX_SIGMA_M) & (table["cameras"][seen] == 1)
         still = np.flatnonzero(stands & sharp)
@@ -111,7 +111,7 @@ class GhostWatch:
         across: NDArray[np.float64],
     ) -> NDArray[np.bool_]:
         """Which standing vehicles (S,) too many of moving ones (M,) overlap; gaps are (S, M)."""
-        table = self._fleet.table
+        table = self._vehicles.table
         error = np.hypot(table["sigma"][still][:, None], table["sigma"][moving])
         side, end = (
             0.5 * (table[size][still][:, None] + table[size][moving]) - error

@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from geoorbit_ros.twin.false_tracks import JUMP_ACROSS_M, GhostWatch, JumpWatch, reach_along_m
-from geoorbit_ros.twin.vehicle_types import type_of_class
-from geoorbit_ros.twin.vehicles import Fleet, usual_size
+from geoorbit_ros.twin.false_tracks import JUMP_ACROSS_M, FalseTrackWatch, JumpWatch, reach_along_m
+from geoorbit_ros.twin.vehicles import Vehicles, type_of_class, usual_size
 
 Slots = NDArray[np.int64]
 OnRoad = Callable[[NDArray[np.float64]], NDArray[np.bool_]]
@@ -45,7 +44,7 @@ class FusionCounts:
         doubled: Rows ignored because they lay within another vehicle of their camera.
         merged: Vehicles found to be another one's double.
         off_road: Rows ignored because they lay beside the network.
-        ghosts: Tracks that left their vehicle for something that is none.
+        false_tracks: Tracks of something that is no vehicle, ignored until they move on.
     """
 
     jumps: int = 0
@@ -54,24 +53,24 @@ class FusionCounts:
     doubled: int = 0
     merged: int = 0
     off_road: int = 0
-    ghosts: int = 0
+    false_tracks: int = 0
 
 
 class Fusion:
     """Binds tracks to vehicles and vehicles to places.
 
     Args:
-        fleet: The vehicles; changed with every update.
+        vehicles: The vehicles; changed with every update.
         cameras: How many there are.
         on_road: Tells for points (M, 2) whether a vehicle may enter there.
     """
 
-    def __init__(self, fleet: Fleet, cameras: int, on_road: OnRoad) -> None:
+    def __init__(self, vehicles: Vehicles, cameras: int, on_road: OnRoad) -> None:
         self.counts = FusionCounts()
-        self._fleet, self._on_road = fleet, on_road
+        self._vehicles, self._on_road = vehicles, on_road
         self._bound: list[dict[int, int]] = [{} for _ in range(cameras)]
         self._near_s: dict[tuple[int, int], float] = {}
-        self._ghosts = GhostWatch(fleet, cameras)
+        self._false_tracks = FalseTrackWatch(vehicles, cameras)
         self._jumps = JumpWatch(cameras)
 
     def release(self, slot: Slots) -> None:
@@ -85,7 +84,7 @@ class Fusion:
     def forget_tracks(self, camera: int) -> None:
         """A camera's tracker started again: its numbers mean nothing any more."""
         self._bound[camera].clear()
-        self._ghosts.forget(camera)
+        self._false_tracks.forget(camera)
         self._jumps.forget(camera)
 
     def update(self, time_ns: int, step_s: float, tables: Sequence[NDArray[np.void]]) -> Slots:
@@ -99,22 +98,22 @@ class Fusion:
         Returns:
             (E,) slots of vehicles that entered.
         """
-        table = self._fleet.table
-        present = self._fleet.slots
+        table = self._vehicles.table
+        present = self._vehicles.slots
         table["xy"][present] += table["velocity"][present] * step_s
         table["observed"][present] = False
         table["predicted"][present] = False
         table["cameras"][present] = 0
         entered, slots, rows = [], [], []
         for camera, table_now in enumerate(tables):
-            found = table_now[~self._ghosts.ignored(camera, table_now)]
+            found = table_now[~self._false_tracks.ignored(camera, table_now)]
             slot = self._bind(camera, found, time_ns)
             new = np.flatnonzero(slot == -1)
             able = self._on_road(found["xy"][new])
             self.counts.off_road += int(np.count_nonzero(~able))
             new = new[able]
             if len(new):
-                fresh = self._fleet.enter(len(new))
+                fresh = self._vehicles.enter(len(new))
                 slot[new] = fresh
                 entered.append(fresh)
                 self._bound[camera].update(
@@ -126,7 +125,7 @@ class Fusion:
             rows.append(found[kept])
         if slots:
             self._place(np.concatenate(slots), np.concatenate(rows), time_ns)
-        self._lay_ghosts(time_ns, step_s)
+        self._drop_false_tracks(time_ns, step_s)
         if len(tables) > 1:
             self._merge(step_s)
         return np.concatenate(entered) if entered else np.empty(0, np.int64)
@@ -162,8 +161,8 @@ class Fusion:
     def _associate(self, rows: NDArray[np.void], taken: Slots, time_ns: int) -> Slots:
         """Vehicles for rows without one, -1 where there is none."""
         found = np.full(len(rows), -1, dtype=np.int64)
-        table = self._fleet.table
-        able = np.setdiff1d(self._fleet.slots, taken)
+        table = self._vehicles.table
+        able = np.setdiff1d(self._vehicles.slots, taken)
         if not len(able):
             return found
         pair_row = np.repeat(np.arange(len(rows)), len(able))
@@ -195,7 +194,7 @@ class Fusion:
         within, beside = np.zeros((2, len(rows)), dtype=np.bool_)
         if not len(rows) or not len(taken):
             return within, beside
-        table = self._fleet.table
+        table = self._vehicles.table
         sigma = rows["sigma"].max(keepdims=True)
         reach_m = reach_along_m(sigma, table["sigma"][taken].max()) + JUMP_ACROSS_M + 0.5 * sigma
         reach_m = np.maximum(reach_m, 0.5 * table["length"][taken].max() + JUMP_ACROSS_M)
@@ -213,14 +212,14 @@ class Fusion:
         """Whether rows (M,) are as near to vehicles (M,) as their own tracks would be."""
         along, across = self._apart(rows, slot)
         sigma = rows["sigma"]
-        near = np.abs(along) <= reach_along_m(sigma, self._fleet.table["sigma"][slot])
+        near = np.abs(along) <= reach_along_m(sigma, self._vehicles.table["sigma"][slot])
         return np.asarray(near & (np.abs(across) <= JUMP_ACROSS_M + 0.5 * sigma))
 
     def _apart(
         self, rows: NDArray[np.void], slot: Slots
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """How far rows are from vehicles, along and across the vehicle's heading."""
-        table = self._fleet.table
+        table = self._vehicles.table
         heading = np.nan_to_num(table["course"][slot])
         dx, dy = (rows["xy"] - table["xy"][slot]).T
         cos, sin = np.cos(heading), np.sin(heading)
@@ -228,8 +227,8 @@ class Fusion:
 
     def _place(self, slot: Slots, rows: NDArray[np.void], time_ns: int) -> None:
         """Vehicles get the states of their tracks; several are weighted by their variances."""
-        table = self._fleet.table
-        self._fleet.vote(slot, type_of_class(rows["class_id"]))
+        table = self._vehicles.table
+        self._vehicles.vote(slot, type_of_class(rows["class_id"]))
         place, first, inverse, count = np.unique(
             slot, return_index=True, return_inverse=True, return_counts=True
         )
@@ -247,22 +246,22 @@ class Fusion:
         table["seen_ns"][place], table["observed"][place] = time_ns, True
         table["cameras"][place] = count
 
-    def _lay_ghosts(self, time_ns: int, step_s: float) -> None:
-        """Take their tracks from vehicles that can't be any; they leave with this step."""
-        table = self._fleet.table
-        for slot in self._ghosts.find(time_ns, step_s).tolist():
+    def _drop_false_tracks(self, time_ns: int, step_s: float) -> None:
+        """Take the tracks from vehicles that can't be real; the vehicles leave with this step."""
+        table = self._vehicles.table
+        for slot in self._false_tracks.find(time_ns, step_s).tolist():
             for camera, bound in enumerate(self._bound):
                 for track in [t for t, s in bound.items() if s == slot]:
                     del bound[track]
-                    self._ghosts.add(camera, track, table["xy"][slot])
+                    self._false_tracks.add(camera, track, table["xy"][slot])
             table["seen_ns"][slot] = 0
             table["observed"][slot] = False
-            self.counts.ghosts += 1
+            self.counts.false_tracks += 1
 
     def _merge(self, step_s: float) -> None:
         """Give the tracks of a vehicle that is another one's double to the older one."""
-        slots = self._fleet.slots
-        table = self._fleet.table
+        slots = self._vehicles.slots
+        table = self._vehicles.table
         seen = slots[table["observed"][slots] & (table["cameras"][slots] == 1)]
         cameras = [set(b.values()) for b in self._bound]
         near: dict[tuple[int, int], float] = {}

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.roadnet.network import NONE
+from geoorbit_ros.roadnet.network import NO_LANE
 from geoorbit_ros.twin.placement import TwinStep
 
 POSITION_LIMIT_M, HEADING_LIMIT_DEG, LANE_LIMIT = 0.05, 1.0, 0.005
@@ -96,10 +96,10 @@ class HealthWindow:
         self._position.append(np.hypot(error[:, 0], error[:, 1]))
         turn = step.heading_rad[kept] - step.wanted_heading_rad[kept]
         self._heading.append(np.abs((turn + np.pi) % (2 * np.pi) - np.pi))
-        known = kept & (step.wanted_lane != NONE)
+        known = kept & (step.wanted_lane != NO_LANE)
         self._known += int(np.count_nonzero(known))
         self._wrong += int(np.count_nonzero(step.lane[known] != step.wanted_lane[known]))
-        self._beside += int(np.count_nonzero(kept & (step.wanted_lane == NONE)))
+        self._beside += int(np.count_nonzero(kept & (step.wanted_lane == NO_LANE)))
         self._observed += int(np.count_nonzero(seen))
         self._coasting += int(np.count_nonzero(~seen))
         self._overlapping += overlapping_pairs(step.xy[~gone])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.roadnet.network import NONE, RoadNetwork
+from geoorbit_ros.roadnet.network import NO_LANE, RoadNetwork
 
 LANE_CHANGE = 2.0
 """With the observations' own weight (`matching.LATERAL_SIGMA_M`) a change is certain within half a
@@ -42,7 +42,7 @@ class LaneLinks:
         pair = before[:, :, None] * self._count + after[:, None, :]
         at = np.searchsorted(self._pair, pair)
         cost = np.where(self._pair[at] == pair, self._cost[at], UNRELATED)
-        cost[(before == NONE)[:, :, None] | (after == NONE)[:, None, :]] = 1e6
+        cost[(before == NO_LANE)[:, :, None] | (after == NO_LANE)[:, None, :]] = 1e6
         return cost
 
 
@@ -70,7 +70,7 @@ def _with_neighbours(network: RoadNetwork, along: dict[int, float]) -> dict[int,
     for lane, cost in along.items():
         for beside in (network.left, network.right):
             other, total = int(beside[lane]), cost + LANE_CHANGE
-            while other != NONE and total < UNRELATED:
+            while other != NO_LANE and total < UNRELATED:
                 found[other] = min(found.get(other, UNRELATED), total)
                 other, total = int(beside[other]), total + LANE_CHANGE
     return found

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.mapcheck.driven_lanes import DrivenNetwork
 from geoorbit_ros.roadnet.lane_index import CANDIDATES, Candidates, LaneIndex
-from geoorbit_ros.roadnet.network import NONE, RoadNetwork
+from geoorbit_ros.roadnet.network import NO_LANE, RoadNetwork
 from geoorbit_ros.twin.lane_changes import CrossingLimit, LaneLinks
 
 LATERAL_SIGMA_M = 0.7
@@ -41,7 +41,7 @@ class Matches:
     """Lanes of M vehicles.
 
     Attributes:
-        lane: (M,) lane number, `NONE` beside the network.
+        lane: (M,) lane number, `NO_LANE` beside the network.
         arc_m: (M,) place along the lane.
         offset_m: (M,) distance from the lane's middle, positive to the left.
         within: (M,) whether the vehicle's middle can be between the borders of a lane, and between
@@ -70,7 +70,7 @@ class LaneMatcher:
         self._links = LaneLinks(network)
         self._half_m = 0.5 * network.width_m
         self._step_s, self._crossing = step_s, CrossingLimit(capacity)
-        self._lane = np.full((capacity, CANDIDATES), NONE, dtype=np.int64)
+        self._lane = np.full((capacity, CANDIDATES), NO_LANE, dtype=np.int64)
         self._score = np.zeros((capacity, CANDIDATES))
         self._cost = np.zeros((capacity, CANDIDATES, CANDIDATES))
         # Whether `_cost` is that of staying among the same lanes, and so can be used again.
@@ -83,7 +83,7 @@ class LaneMatcher:
     def forget(self, slot: NDArray[np.int64]) -> None:
         """Vehicles in these slots are new ones."""
         self._reserve(int(slot.max(initial=-1)) + 1)
-        self._lane[slot] = NONE
+        self._lane[slot] = NO_LANE
         self._steady[slot] = False
         self._crossing.forget(slot)
 
@@ -91,7 +91,7 @@ class LaneMatcher:
         """(M,) whether points (M, 2) are near enough to a lane to enter there."""
         if not len(xy):
             return np.zeros(0, dtype=np.bool_)
-        return np.asarray((self._index.near(xy, ENTRY_M).lane != NONE).any(axis=1))
+        return np.asarray((self._index.near(xy, ENTRY_M).lane != NO_LANE).any(axis=1))
 
     def update(
         self,
@@ -117,16 +117,16 @@ class LaneMatcher:
         score = _observation(possible, heading_rad, sigma_m)
         inside = np.abs(possible.offset_m) <= self._half_m[near.lane]
         on_lane = (inside & (score > 0.5 * IMPOSSIBLE)).any(axis=1)
-        known = (self._lane[slot] != NONE).any(axis=1)
+        known = (self._lane[slot] != NO_LANE).any(axis=1)
         prior = self._prior(slot[known], near.lane[known])
         score[known] += prior
         lost = score.max(axis=1) <= 0.5 * IMPOSSIBLE
         score -= score.max(axis=1, keepdims=True)
         best = np.argmax(score, axis=1)
         rows = np.arange(len(slot))
-        lane = np.where(lost, NONE, near.lane[rows, best])
+        lane = np.where(lost, NO_LANE, near.lane[rows, best])
         self._lane[slot], self._score[slot] = near.lane, score
-        self._lane[slot[lost]] = NONE  # where it comes back, it begins anew
+        self._lane[slot[lost]] = NO_LANE  # where it comes back, it begins anew
         self._crossing.keep(slot, xy, near.heading_rad[rows, best], excess[rows, best])
         offset = near.offset_m[rows, best]
         return Matches(
@@ -153,7 +153,7 @@ class LaneMatcher:
         more = max(capacity, 2 * len(self._steady)) - len(self._steady)
         if capacity <= len(self._steady):
             return
-        self._lane = np.concatenate([self._lane, np.full((more, CANDIDATES), NONE)])
+        self._lane = np.concatenate([self._lane, np.full((more, CANDIDATES), NO_LANE)])
         self._score = np.concatenate([self._score, np.zeros((more, CANDIDATES))])
         self._cost = np.concatenate([self._cost, np.zeros((more, CANDIDATES, CANDIDATES))])
         self._steady = np.append(self._steady, np.zeros(more, dtype=np.bool_))
@@ -169,5 +169,5 @@ def _observation(
     turn = np.nan_to_num((turn + np.pi) % (2 * np.pi) - np.pi)
     score = -0.5 * (near.offset_m**2 + near.past_m**2) / lateral**2
     score -= 0.5 * (turn / HEADING_SIGMA_RAD) ** 2
-    score[(np.abs(turn) > MAX_TURN_RAD) | (near.lane == NONE)] = IMPOSSIBLE
+    score[(np.abs(turn) > MAX_TURN_RAD) | (near.lane == NO_LANE)] = IMPOSSIBLE
     return np.asarray(score, dtype=np.float64)

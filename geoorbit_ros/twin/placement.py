@@ -1,4 +1,4 @@
-"""Puts the fleet's vehicles into the simulation and reads back where it has them."""
+"""Puts the twin's vehicles into the simulation and reads back where it has them."""
 
 from __future__ import annotations
 
@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from geoorbit_ros.core.tables import FLAG_PREDICTED, TRACK_DTYPE
 from geoorbit_ros.mapcheck.driven_lanes import DrivenNetwork
 from geoorbit_ros.roadnet.lane_index import RADIUS_M
-from geoorbit_ros.roadnet.network import NONE, RoadNetwork
-from geoorbit_ros.roadnet.routing import walk
+from geoorbit_ros.roadnet.network import NO_LANE, RoadNetwork
+from geoorbit_ros.roadnet.routing import place_ahead
 from geoorbit_ros.twin.simulation import Moves, Simulation, States
-from geoorbit_ros.twin.vehicle_types import TYPES
-from geoorbit_ros.twin.vehicles import Fleet
+from geoorbit_ros.twin.vehicles import TYPES, Vehicles
 
 RESIZE_M = 0.5
 """A vehicle gets another length when its track's differs by this."""
@@ -36,10 +35,10 @@ class TwinStep:
         velocity: (M, 2) m/s.
         size_m: (M, 2) length and width.
         sigma_m: (M,) 1-sigma ground error of the tracks.
-        kind: (M,) number in `vehicle_types.TYPES`.
-        lane: (M,) lane number that SUMO has it in, by its front; `NONE` beside the network.
-        wanted_lane: (M,) lane number that it was put on; `NONE` beside every lane, where SUMO may
-            count it to the nearest lane or to none.
+        kind: (M,) number in `vehicles.TYPES`.
+        lane: (M,) lane number that SUMO has it in, by its front; `NO_LANE` beside the network.
+        wanted_lane: (M,) lane number that it was put on; `NO_LANE` beside every lane, where SUMO
+            may count it to the nearest lane or to none.
         observed: (M,) whether a camera saw it; otherwise it goes on as before.
         cameras: (M,) how many did.
         wanted_xy: (M, 2) where the tracks say it is.
@@ -65,22 +64,22 @@ class TwinStep:
 
 
 class Placement:
-    """Keeps a simulation's vehicles where the fleet's are.
+    """Keeps SUMO's vehicles where the twin's are.
 
-    SUMO's vehicle is at the middle of its front bumper, the fleet's at the middle of its
+    SUMO's vehicle is at the middle of its front bumper, the twin's at the middle of its
     footprint: half a length lies between them along the heading.
 
     Args:
         network: The roads.
-        fleet: The vehicles.
+        vehicles: The vehicles.
         simulation: What is moved.
 
     Attributes:
         lost: Vehicles that SUMO took away so far; they are put back with the next step.
     """
 
-    def __init__(self, network: RoadNetwork, fleet: Fleet, simulation: Simulation) -> None:
-        self._network, self._fleet, self._simulation = network, fleet, simulation
+    def __init__(self, network: RoadNetwork, vehicles: Vehicles, simulation: Simulation) -> None:
+        self._network, self._vehicles, self._simulation = network, vehicles, simulation
         self._leaving: list[str] = []
         self._moved_m = 0.0
         self.lost = 0
@@ -93,15 +92,15 @@ class Placement:
         """Go on with another simulation; all vehicles enter it with the next step."""
         self._simulation = simulation
         self._leaving = []
-        self._fleet.table["entered"] = False
+        self._vehicles.table["entered"] = False
 
     def leave(self, slot: NDArray[np.int64]) -> None:
         """These vehicles leave with the next step."""
-        rows = self._fleet.table[slot]
+        rows = self._vehicles.table[slot]
         self._leaving += _names(rows["vehicle_id"][rows["entered"]])
 
     def step(self, now_ns: int, slots: NDArray[np.int64], start_s: float) -> TwinStep:
-        """Simulate one step that ends with the vehicles where the fleet has them.
+        """Simulate one step that ends with the vehicles where the twin has them.
 
         Args:
             now_ns: Time of its end.
@@ -111,7 +110,7 @@ class Placement:
         Raises:
             SimulationError: The simulation is gone.
         """
-        table = self._fleet.table
+        table = self._vehicles.table
         names = _names(table["vehicle_id"][slots])
         self._enter_and_resize(slots, names)
         rows = table[slots]
@@ -122,8 +121,8 @@ class Placement:
         safe = np.maximum(lane, 0)
         moves = Moves(
             names,
-            [network.edge_id[k] if k != NONE else "" for k in lane.tolist()],
-            np.where(lane == NONE, 0, network.index[safe]),
+            [network.edge_id[k] if k != NO_LANE else "" for k in lane.tolist()],
+            np.where(lane == NO_LANE, 0, network.index[safe]),
             arc_m / network.length_m[safe],
             plane.to_network.points(front),
             np.degrees(0.5 * np.pi - rows["course"] - turn) % 360.0,
@@ -141,7 +140,7 @@ class Placement:
         return np.asarray(away_m + 0.5 * rows["sim_length"] + self._moved_m + REACH_M)
 
     def _enter_and_resize(self, slots: NDArray[np.int64], names: list[str]) -> None:
-        table = self._fleet.table
+        table = self._vehicles.table
         while self._leaving:
             self._simulation.remove(self._leaving.pop())
         # Field by field: whole rows of all vehicles are a quarter of a megabyte to copy.
@@ -161,14 +160,14 @@ class Placement:
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Lanes of the front bumpers, and places along them (M,).
 
-        The next lane where the front is over an end, `NONE` where none comes next.
+        The next lane where the front is over an end, `NO_LANE` where none comes next.
         """
         lane = rows["lane"].copy()
         ahead = rows["arc"] + 0.5 * rows["sim_length"]
-        over = (lane != NONE) & (ahead > self._network.length_m[np.maximum(lane, 0)])
+        over = (lane != NO_LANE) & (ahead > self._network.length_m[np.maximum(lane, 0)])
         for k in np.flatnonzero(over).tolist():
-            place = walk(self._network, int(lane[k]), float(ahead[k]), 0.0, front[k])
-            lane[k], ahead[k] = (NONE if place.ended else place.lane), place.arc_m
+            place = place_ahead(self._network, int(lane[k]), float(ahead[k]), 0.0, front[k])
+            lane[k], ahead[k] = (NO_LANE if place.ended else place.lane), place.arc_m
         return np.asarray(lane, dtype=np.int64), ahead
 
     def _read(
@@ -183,7 +182,7 @@ class Placement:
         gone = np.isnan(states.angle_deg)
         if gone.any():
             self.lost += int(np.count_nonzero(gone))
-            self._fleet.table["entered"][slots[gone]] = False
+            self._vehicles.table["entered"][slots[gone]] = False
         plane, number = self._network.plane, self._network.number
         front = plane.to_map.points(states.xy)
         heading = 0.5 * np.pi - np.radians(states.angle_deg) + plane.to_map.turn_rad(states.xy)
@@ -197,8 +196,8 @@ class Placement:
             size_m=np.column_stack((rows["sim_length"], rows["sim_width"])),
             sigma_m=rows["sigma"],
             kind=rows["sim_kind"],
-            lane=np.array([number.get(name, NONE) for name in states.lane], dtype=np.int64),
-            wanted_lane=np.where(rows["within"], lane, NONE),
+            lane=np.array([number.get(name, NO_LANE) for name in states.lane], dtype=np.int64),
+            wanted_lane=np.where(rows["within"], lane, NO_LANE),
             observed=rows["observed"],
             cameras=rows["cameras"],
             wanted_xy=rows["xy"],

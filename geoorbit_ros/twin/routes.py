@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.polylines import project
-from geoorbit_ros.roadnet.network import NONE, RoadNetwork
-from geoorbit_ros.roadnet.routing import Ways
+from geoorbit_ros.roadnet.network import NO_LANE, RoadNetwork
+from geoorbit_ros.roadnet.routing import RouteFinder
 from geoorbit_ros.twin.placement import TwinStep
-from geoorbit_ros.twin.vehicle_types import TYPES, add_type
+from geoorbit_ros.twin.vehicles import TYPES, add_type
 
 ROUTES, TYPE_FILE, CONFIG = "traffic.rou.xml", "traffic.add.xml", "traffic.sumocfg"
 MIN_DRIVEN_M = 20.0
@@ -72,7 +72,7 @@ class RouteWriter:
             self._start_ns = step.stamp_ns
         time_s = (step.stamp_ns - self._start_ns) * 1e-9
         network = self._network
-        kept = step.observed & (step.lane != NONE) & np.isfinite(step.xy[:, 0])
+        kept = step.observed & (step.lane != NO_LANE) & np.isfinite(step.xy[:, 0])
         for k in np.flatnonzero(kept).tolist():
             lane, xy = int(step.lane[k]), step.xy[k]
             seen = self._seen.get(int(step.vehicle_id[k]))
@@ -103,7 +103,7 @@ class RouteWriter:
             folder: Where the files go.
             network_file: Path of the network, as the configuration shall name it.
         """
-        routes, ways = Xml.Element("routes"), Ways(self._network)
+        routes, ways = Xml.Element("routes"), RouteFinder(self._network)
         factors: dict[int, list[float]] = {}
         too_short = no_way = written = 0
         for number, seen in sorted(self._seen.items(), key=lambda item: item[1].begin_s):

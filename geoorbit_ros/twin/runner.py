@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.mapcheck.alignment import Alignment
 from geoorbit_ros.mapcheck.driven_lanes import DrivenNetwork
-from geoorbit_ros.roadnet.errors import SimulationError
 from geoorbit_ros.roadnet.network import RoadNetwork
 from geoorbit_ros.twin.placement import TwinStep
 from geoorbit_ros.twin.scenario import Scenario
 from geoorbit_ros.twin.simulation import Simulation
+from geoorbit_ros.twin.sumo_process import SimulationError
 from geoorbit_ros.twin.synchronizer import Synchronizer
 
 RETRY_S = 5.0
@@ -112,7 +112,7 @@ class TwinRunner:
         """Size of the twin, and what happened to tracks and to the simulation."""
         twin = self.twin
         return {
-            "vehicles": len(twin.fleet.slots),
+            "vehicles": len(twin.vehicles.slots),
             "steps": twin.steps,
             "vehicles_lost": twin.placement.lost,
             "simulation_restarts": self.restarts,

@@ -4,7 +4,7 @@
 drawn every 2 m it costs 260 µs per vehicle and step. So shapes are thinned to two centimetres, and
 edges that still have many points are cut into pieces joined end to end
 (docs/adr/0017-running-network.md). Pieces are named `<edge>~1`, `<edge>~2`, …; nobody outside of
-`simulation.py` sees those names.
+`sumo_simulation.py` sees those names.
 """
 
 from __future__ import annotations

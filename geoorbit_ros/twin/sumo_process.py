@@ -10,7 +10,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from geoorbit_ros.roadnet.errors import SimulationError
+from geoorbit_ros.core.errors import GeoOrbitError
+
+
+class SimulationError(GeoOrbitError):
+    """SUMO did not start, refused something, or is gone."""
+
 
 START_RETRIES, RETRY_S = 200, 0.1
 CLOSE_TIMEOUT_S = 10.0

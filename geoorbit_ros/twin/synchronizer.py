@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.mapcheck.alignment import Alignment
 from geoorbit_ros.mapcheck.driven_lanes import DrivenNetwork
-from geoorbit_ros.roadnet.network import NONE, RoadNetwork
-from geoorbit_ros.roadnet.routing import walk
+from geoorbit_ros.roadnet.network import NO_LANE, RoadNetwork
+from geoorbit_ros.roadnet.routing import place_ahead
 from geoorbit_ros.twin.camera_tracks import CameraTracks
 from geoorbit_ros.twin.fusion import Fusion
 from geoorbit_ros.twin.lane_changes import MAX_ACROSS_MPS
 from geoorbit_ros.twin.matching import LaneMatcher
 from geoorbit_ros.twin.placement import Placement, TwinStep
 from geoorbit_ros.twin.simulation import Simulation
-from geoorbit_ros.twin.vehicles import Fleet
+from geoorbit_ros.twin.vehicles import Vehicles
 
 MAX_WAIT_S = 0.2
 """A camera that is more behind the newest one is not waited for: two frames at 10 Hz."""
@@ -47,9 +47,9 @@ class Synchronizer:
         on_step: Called after every step.
 
     Attributes:
-        fleet: The vehicles.
+        vehicles: The vehicles.
         fusion: Which track is which vehicle.
-        placement: What keeps the simulation's vehicles where the fleet's are.
+        placement: What keeps the simulation's vehicles where the tracks say.
         steps: Simulated so far.
     """
 
@@ -68,9 +68,9 @@ class Synchronizer:
         self._order = {c: k for k, c in enumerate(cameras)}
         self._matcher = LaneMatcher(network, step_s)
         self._now_ns: int | None = None
-        self.fleet = Fleet()
-        self.placement = Placement(network, self.fleet, simulation)
-        self.fusion = Fusion(self.fleet, len(cameras), self._matcher.on_road)
+        self.vehicles = Vehicles()
+        self.placement = Placement(network, self.vehicles, simulation)
+        self.fusion = Fusion(self.vehicles, len(cameras), self._matcher.on_road)
         self.steps = 0
 
     def set_datum(self, camera: str, datum: Datum) -> None:
@@ -97,7 +97,7 @@ class Synchronizer:
         self.fusion.forget_tracks(self._order[camera])
         if all(c.newest_ns is None for c in self._cameras.values()):
             self._now_ns = None
-            self._let_leave(self.fleet.slots)
+            self._let_leave(self.vehicles.slots)
 
     def add(self, camera: str, stamp_ns: int, rows: NDArray[np.void]) -> None:
         """Take a frame of `TRACK_DTYPE` rows and simulate what can be.
@@ -122,7 +122,7 @@ class Synchronizer:
         late = max(newest) - round(MAX_WAIT_S * 1e9) if wait else max(newest)
         until = max(min(newest), late)
         if until - self._now_ns > MAX_GAP_S * 1e9:
-            self._let_leave(self.fleet.slots)
+            self._let_leave(self.vehicles.slots)
             self._now_ns = (until // self._step_ns - 1) * self._step_ns
         while self._now_ns + self._step_ns <= until:
             self._now_ns += self._step_ns
@@ -130,14 +130,14 @@ class Synchronizer:
 
     def _simulate(self, now_ns: int) -> None:
         start = time.perf_counter()
-        fleet, step_s = self.fleet, self._step_ns * 1e-9
+        vehicles, step_s = self.vehicles, self._step_ns * 1e-9
         tables = [camera.at(now_ns) for camera in self._cameras.values()]
         self._matcher.forget(self.fusion.update(now_ns, step_s, tables))
-        table, slots = fleet.table, fleet.slots
+        table, slots = vehicles.table, vehicles.slots
         unseen = slots[~table["observed"][slots]]
         self._let_leave(unseen[table["seen_ns"][unseen] < now_ns - self._hold_ns])
         self._coast(unseen[table["active"][unseen]], step_s)
-        slots = fleet.slots
+        slots = vehicles.slots
         found = self._matcher.update(
             slots, *(table[name][slots] for name in ("xy", "heading", "sigma", "observed"))
         )
@@ -156,18 +156,18 @@ class Synchronizer:
     def _let_leave(self, slot: NDArray[np.int64]) -> None:
         self.placement.leave(slot)
         self.fusion.release(slot)
-        self.fleet.leave(slot)
+        self.vehicles.leave(slot)
 
     def _coast(self, slot: NDArray[np.int64], step_s: float) -> None:
         """Vehicles that no camera sees go on along their lanes."""
-        table = self.fleet.table
+        table = self.vehicles.table
         for k in slot.tolist():
             row = table[k]
             speed = float(np.hypot(*row["velocity"]))
-            if row["lane"] == NONE or speed < MIN_SPEED_MPS:
+            if row["lane"] == NO_LANE or speed < MIN_SPEED_MPS:
                 continue  # straight on, as the fusion has it
             arc_m = float(row["arc"]) + speed * step_s
-            place = walk(self._network, int(row["lane"]), arc_m, float(row["offset"]))
+            place = place_ahead(self._network, int(row["lane"]), arc_m, float(row["offset"]))
             if place.ended:
                 self._let_leave(np.array([k]))
                 continue

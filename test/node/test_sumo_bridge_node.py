@@ -24,7 +24,7 @@ from geoorbit_ros.nodes.support.composition import Composition
 from geoorbit_ros.nodes.support.qos import LATCHED
 from geoorbit_ros.nodes.support.table_stream import stream_qos
 from geoorbit_ros.scenes.camera import look_at
-from geoorbit_ros.twin.simulation import SumoSimulation
+from geoorbit_ros.twin.sumo_simulation import SumoSimulation
 
 LANE_Y = -5.25
 BEST_EFFORT = stream_qos("best_effort", 1)

@@ -21,7 +21,7 @@ from geoorbit_ros.nodes.sumo_bridge.node import SumoBridgeNode
 from geoorbit_ros.nodes.support.composition import Composition
 from geoorbit_ros.nodes.support.qos import LATCHED
 from geoorbit_ros.twin import sumo_process
-from geoorbit_ros.twin.simulation import SumoSimulation
+from geoorbit_ros.twin.sumo_simulation import SumoSimulation
 
 LANE_Y = -5.25
 
@@ -104,7 +104,7 @@ def test_a_camera_outside_the_network(
     probe.until(lambda: node.diagnostics.refused == 6, "the refusals")
     refusal = str(node.diagnostics.last_refusal)
     assert re.search(f"camera 'south': found {said}", refusal)
-    assert len(node.runner.twin.fleet.slots) == 1
+    assert len(node.runner.twin.vehicles.slots) == 1
 
 
 def test_a_camera_beside_the_roads_is_heard_and_has_no_vehicles(
@@ -117,7 +117,7 @@ def test_a_camera_beside_the_roads_is_heard_and_has_no_vehicles(
         send(START_NS + k * STEP_NS, rows([(1, 50.0 + 2.0 * k, 900.0)]))
     probe.until(lambda: node.runner.twin.steps == 5, "the twin")
     assert node.runner.twin.fusion.counts.off_road == 5
-    assert not len(node.runner.twin.fleet.slots)
+    assert not len(node.runner.twin.vehicles.slots)
 
 
 def test_tracks_that_jump_or_are_no_numbers(nodes: Composition, net: Path) -> None:

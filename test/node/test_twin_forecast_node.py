@@ -21,7 +21,7 @@ from geoorbit_ros.core.tables import TRACK_DTYPE
 from geoorbit_ros.nodes.sumo_bridge.node import SumoBridgeNode
 from geoorbit_ros.nodes.support.composition import Composition
 from geoorbit_ros.nodes.support.qos import LATCHED
-from geoorbit_ros.twin.simulation import SumoSimulation
+from geoorbit_ros.twin.sumo_simulation import SumoSimulation
 
 LANE_Y = (-8.75, -5.25, -1.75)
 FRAMES = 150

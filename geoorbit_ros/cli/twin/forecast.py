@@ -50,13 +50,13 @@ def forecast(
     from geoorbit_ros.core.errors import NoTrafficError
     from geoorbit_ros.roadnet.network import load_network
     from geoorbit_ros.storage.atomic import atomic_output
+    from geoorbit_ros.twin.figures import save_forecast_figure
     from geoorbit_ros.twin.forecast.files import ForecastStart
-    from geoorbit_ros.twin.forecast.image import save_forecast_picture
     from geoorbit_ros.twin.forecast.observed_traffic import ObservedTraffic
     from geoorbit_ros.twin.forecast.runs import ForecastRun
     from geoorbit_ros.twin.replay import STEP_S, replay_tracks
     from geoorbit_ros.twin.scenario import parse_scenario
-    from geoorbit_ros.twin.simulation import SumoSimulation
+    from geoorbit_ros.twin.sumo_simulation import SumoSimulation
 
     with atomic_output(out) as folder:
         streams = open_streams(bags, calibration, image_size, datum)
@@ -89,7 +89,7 @@ def forecast(
         }
         text = json.dumps(values, indent=2, allow_nan=False)
         (folder / "forecast.json").write_text(text + "\n", encoding="utf-8")
-        save_forecast_picture(folder / "forecast.png", network, found_all)
+        save_forecast_figure(folder / "forecast.png", network, found_all)
     _print(found_all)
     flows = ", ".join(f"{edge} {flow:.0f}" for edge, flow in demand.edge_flow_per_h.items())
     say(f"Seen in {demand.time_s:.0f} s, vehicles per hour: {flows}.")

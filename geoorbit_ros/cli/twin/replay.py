@@ -72,11 +72,10 @@ def replay(
     from geoorbit_ros.core.errors import GeoOrbitError
     from geoorbit_ros.roadnet.network import load_network
     from geoorbit_ros.storage.atomic import atomic_output
-    from geoorbit_ros.twin.image import WayKeeper, save_picture
+    from geoorbit_ros.twin.figures import VehiclePaths, save_twin_figure
     from geoorbit_ros.twin.placement import TwinStep
-    from geoorbit_ros.twin.replay import replay_tracks
-    from geoorbit_ros.twin.simulation import SumoSimulation
-    from geoorbit_ros.twin.state_file import StateWriter
+    from geoorbit_ros.twin.replay import StateWriter, replay_tracks
+    from geoorbit_ros.twin.sumo_simulation import SumoSimulation
 
     with atomic_output(out) as folder:
         streams = open_streams(bags, calibration, image_size, datum)
@@ -86,7 +85,7 @@ def replay(
             streams, driven, said = align_streams(streams, network)
         simulation = SumoSimulation(net, step_s)
         folder.mkdir()
-        ways, busiest = WayKeeper(), BusiestStep()
+        ways, busiest = VehiclePaths(), BusiestStep()
         try:
             with StateWriter(folder / "vehicles.csv", network) as states:
 
@@ -105,7 +104,7 @@ def replay(
         text = json.dumps(record, indent=2)
         (folder / "score.json").write_text(text + "\n", encoding="utf-8")
         title = f"{score.vehicles} vehicles in {score.health.steps * step_s:.0f} s on {net.name}"
-        save_picture(folder / "twin.png", network, ways, title)
+        save_twin_figure(folder / "twin.png", network, ways, title)
         size = parse_image_size(image_size)
         for stream, bag, points in zip(streams, bags, calibration, strict=True):
             film = video if stream is streams[0] else None
@@ -278,7 +277,7 @@ def routes(
     from geoorbit_ros.storage.atomic import atomic_output
     from geoorbit_ros.twin.replay import STEP_S, replay_tracks
     from geoorbit_ros.twin.routes import RouteWriter
-    from geoorbit_ros.twin.simulation import SumoSimulation
+    from geoorbit_ros.twin.sumo_simulation import SumoSimulation
 
     with atomic_output(out) as folder:
         streams = open_streams(bags, calibration, image_size, datum)

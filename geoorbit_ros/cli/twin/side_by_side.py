@@ -59,8 +59,7 @@ def save_side_by_side(
     from geoorbit_ros.calibration.homography import fit_homography
     from geoorbit_ros.storage.track_bag import read_track_bag
     from geoorbit_ros.twin.placement import track_rows
-    from geoorbit_ros.twin.side_by_side import boxes_of, side_by_side
-    from geoorbit_ros.twin.twin_camera import TwinCamera
+    from geoorbit_ros.twin.side_by_side import TwinCamera, boxes_of, side_by_side
 
     homography = fit_homography(read_control_points(calibration, stream.datum))
     camera = TwinCamera(homography, image_size, network.path, stream.datum)

@@ -14,8 +14,8 @@ from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.nodes.support.qos import LATCHED
 from geoorbit_ros.roadnet.network import RoadNetwork
-from geoorbit_ros.twin.forecast.job import ForecastJob
 from geoorbit_ros.twin.forecast.observed_traffic import ObservedTraffic
+from geoorbit_ros.twin.forecast.runs import ForecastJob
 from geoorbit_ros.twin.scenario import Scenario, parse_scenario
 
 POLL_S = 0.2

@@ -30,7 +30,7 @@ from geoorbit_ros.roadnet.network import load_network
 from geoorbit_ros.twin.cameras import read_views, split_names
 from geoorbit_ros.twin.placement import TwinStep
 from geoorbit_ros.twin.runner import TwinRunner
-from geoorbit_ros.twin.simulation import SumoSimulation, backend_of
+from geoorbit_ros.twin.sumo_simulation import SumoSimulation, backend_of
 
 
 @dataclass(frozen=True, slots=True)

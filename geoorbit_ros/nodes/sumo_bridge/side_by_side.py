@@ -23,8 +23,7 @@ from geoorbit_ros.nodes.support.image_sender import FORMAT
 from geoorbit_ros.nodes.support.table_stream import stream_qos
 from geoorbit_ros.twin.cameras import CameraView
 from geoorbit_ros.twin.placement import TwinStep, track_rows
-from geoorbit_ros.twin.side_by_side import boxes_of, side_by_side
-from geoorbit_ros.twin.twin_camera import TwinCamera
+from geoorbit_ros.twin.side_by_side import TwinCamera, boxes_of, side_by_side
 
 QUALITY = 80
 

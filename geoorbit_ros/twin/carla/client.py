@@ -1,16 +1,24 @@
-"""A CARLA server through its own Python client (carla 0.9.16, an optional dependency)."""
+"""A CARLA server through its own Python client (carla 0.9.16, an optional dependency).
+
+`CarlaClient` is the server; `CarlaVehicles` keeps one actor there per vehicle of the twin.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.roadnet.errors import CarlaError
-from geoorbit_ros.twin.carla.frame import CarlaCamera, CarlaPose
+from geoorbit_ros.core.errors import GeoOrbitError
+from geoorbit_ros.twin.carla.frame import CarlaCamera, CarlaPose, vehicle_pose
+
+
+class CarlaError(GeoOrbitError):
+    """CARLA's client is not there, or its server does not answer, or refuses something."""
+
 
 BASE_TYPES = {2: ("car",), 3: ("motorcycle",), 5: ("bus", "van"), 7: ("truck", "van")}
 """Attribute `base_type` of CARLA's vehicles by COCO class; bicycles are `bicycle`."""
@@ -40,7 +48,7 @@ def transform(carla: Any, pose: CarlaPose) -> Any:
     )
 
 
-def picture(raw: bytes, width: int, height: int) -> NDArray[np.uint8]:
+def pixels_of(raw: bytes, width: int, height: int) -> NDArray[np.uint8]:
     """(H, W, 3) blue, green, red of a `carla.Image`'s raw data, which has alpha besides."""
     return np.frombuffer(raw, np.uint8).reshape(height, width, 4)[:, :, :3].copy()
 
@@ -138,7 +146,7 @@ class CarlaClient:
                 lambda image: on_image(
                     camera.name,
                     float(image.timestamp),
-                    picture(bytes(image.raw_data), image.width, image.height),
+                    pixels_of(bytes(image.raw_data), image.width, image.height),
                 )
             )
             self._sensors.append(sensor)
@@ -174,3 +182,68 @@ class CarlaClient:
         except RuntimeError as error:  # all that the client raises
             text = " ".join(str(error).split())
             raise CarlaError(self._place, f"{found} ({text[:120]})", expected) from error
+
+
+class CarlaServer(Protocol):
+    """What `CarlaVehicles` needs of a server. All methods raise CarlaError when it is gone."""
+
+    def spawn(self, class_id: int, length_m: float, pose: CarlaPose) -> int | None:
+        """A vehicle that is moved by hand; None where there is no room for it."""
+
+    def move(self, poses: Mapping[int, CarlaPose]) -> None:
+        """Put actors in their places, all at once."""
+
+    def destroy(self, actors: Sequence[int]) -> None:
+        """Take actors away."""
+
+    def tick(self) -> None:
+        """One frame."""
+
+
+class CarlaVehicles:
+    """Keeps one actor per vehicle of the twin.
+
+    Args:
+        server: Has the actors.
+
+    Attributes:
+        actors: Actor by vehicle id.
+        refused: Times that there was no room for a vehicle; it is tried again with every step.
+    """
+
+    def __init__(self, server: CarlaServer) -> None:
+        self._server = server
+        self.actors: dict[int, int] = {}
+        self.refused = 0
+
+    def update(self, rows: NDArray[np.void], origin_m: NDArray[np.float64]) -> None:
+        """Follow one step of the twin.
+
+        Args:
+            rows: `TRACK_DTYPE` of `twin/tracks`.
+            origin_m: (2,) origin of their frame in the road's.
+        """
+        there = set(rows["track_id"].tolist())
+        gone = [vehicle for vehicle in self.actors if vehicle not in there]
+        if gone:
+            self._server.destroy([self.actors.pop(vehicle) for vehicle in gone])
+        poses: dict[int, CarlaPose] = {}
+        for row in rows:
+            x, y = float(row["x"]) + origin_m[0], float(row["y"]) + origin_m[1]
+            pose = vehicle_pose(x, y, float(row["heading"]))
+            vehicle = int(row["track_id"])
+            if vehicle in self.actors:
+                poses[self.actors[vehicle]] = pose
+                continue
+            actor = self._server.spawn(int(row["class_id"]), float(row["length"]), pose)
+            if actor is None:
+                self.refused += 1
+            else:
+                self.actors[vehicle] = actor
+        self._server.move(poses)
+        self._server.tick()
+
+    def close(self) -> None:
+        """Take all vehicles away."""
+        self._server.destroy(list(self.actors.values()))
+        self.actors.clear()

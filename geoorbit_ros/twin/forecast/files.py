@@ -8,13 +8,13 @@ from xml.etree import ElementTree as Xml
 
 import numpy as np
 
-from geoorbit_ros.roadnet.network import NONE, RoadNetwork
+from geoorbit_ros.roadnet.network import NO_LANE, RoadNetwork
 from geoorbit_ros.roadnet.network_file import parse_xml
-from geoorbit_ros.roadnet.routing import MAX_EDGES, Ways
+from geoorbit_ros.roadnet.routing import MAX_EDGES, RouteFinder
 from geoorbit_ros.twin.forecast.observed_traffic import Demand
 from geoorbit_ros.twin.placement import TwinStep
 from geoorbit_ros.twin.scenario import Scenario
-from geoorbit_ros.twin.vehicle_types import TYPES, add_type
+from geoorbit_ros.twin.vehicles import TYPES, add_type
 
 STEP_S = 0.5
 """SUMO's drivers are made for steps up to their reaction time of 1 s; half of it is its usual."""
@@ -99,7 +99,7 @@ def _routes(network: RoadNetwork, start: ForecastStart) -> Xml.Element:
     ways, demand = _DrawnWays(network, start.demand, random), start.demand
     step = start.step
     speed = np.hypot(*step.velocity.T)
-    there = (step.lane != NONE) & np.isfinite(step.xy[:, 0])
+    there = (step.lane != NO_LANE) & np.isfinite(step.xy[:, 0])
     for k in np.flatnonzero(there & ~network.internal[np.maximum(step.lane, 0)]).tolist():
         lane = int(step.lane[k])
         front = network.place_on(lane, step.xy[k]) + 0.5 * float(step.size_m[k, 0])
@@ -146,7 +146,7 @@ class _DrawnWays:
     """Ways by the turns that were seen, and drivers by those that were."""
 
     def __init__(self, network: RoadNetwork, demand: Demand, random: np.random.Generator) -> None:
-        self._ways, self._demand, self._random = Ways(network), demand, random
+        self._ways, self._demand, self._random = RouteFinder(network), demand, random
 
     def onwards(self, edge: str) -> list[str]:
         """An edge and those after it, by the turns that were seen.

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.polylines import project
-from geoorbit_ros.roadnet.network import NONE, RoadNetwork
-from geoorbit_ros.roadnet.routing import MAX_EDGES, Ways
+from geoorbit_ros.roadnet.network import NO_LANE, RoadNetwork
+from geoorbit_ros.roadnet.routing import MAX_EDGES, RouteFinder
 from geoorbit_ros.twin.placement import TwinStep
-from geoorbit_ros.twin.vehicle_types import TYPES
+from geoorbit_ros.twin.vehicles import TYPES
 
 SAMPLE_NS = 500_000_000
 STRETCH_M, MIN_LENGTH_M = 60.0, 20.0
@@ -75,7 +75,7 @@ class ObservedTraffic:
         self.last = step
         if self._samples and step.stamp_ns < self._samples[-1][0] + SAMPLE_NS:
             return
-        kept = step.observed & (step.lane != NONE) & np.isfinite(step.xy[:, 0])
+        kept = step.observed & (step.lane != NO_LANE) & np.isfinite(step.xy[:, 0])
         rows = np.empty(int(np.count_nonzero(kept)), _SAMPLE)
         rows["vehicle"], rows["lane"] = step.vehicle_id[kept], step.lane[kept]
         rows["xy"], rows["kind"] = step.xy[kept], step.kind[kept]
@@ -132,7 +132,7 @@ class ObservedTraffic:
         return 3600.0 * float((driven_m[last] - driven_m[first]).max()) / (stretch_m * time_s)
 
     def _turns(self, rows: NDArray[np.void], edges: NDArray[np.object_]) -> dict[str, Counter[str]]:
-        ways, turns = Ways(self._network), dict[str, Counter[str]]()
+        ways, turns = RouteFinder(self._network), dict[str, Counter[str]]()
         order = np.argsort(rows["vehicle"], kind="stable")  # in time, for every vehicle
         vehicle, edge = rows["vehicle"][order], edges[order]
         moved = np.flatnonzero((vehicle[1:] == vehicle[:-1]) & (edge[1:] != edge[:-1]))

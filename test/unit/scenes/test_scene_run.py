@@ -10,7 +10,7 @@ from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.tables import Frames
 from geoorbit_ros.roadnet import netconvert
-from geoorbit_ros.roadnet.netconvert import NetworkError
+from geoorbit_ros.roadnet.errors import RoadNetworkError
 from geoorbit_ros.scenes.scene import load_scene
 from geoorbit_ros.scenes.simulate import SceneRun, simulate
 
@@ -211,13 +211,13 @@ def test_a_seed_out_of_range_is_refused(seed: int) -> None:
 
 def test_a_missing_sumo_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(netconvert, "find_spec", lambda _name: None)
-    with pytest.raises(NetworkError, match=r"SUMO: found no Python package.*pip install"):
+    with pytest.raises(RoadNetworkError, match=r"SUMO: found no Python package.*pip install"):
         simulate(load_scene("s_curve"), 5.0, 1)
 
 
 def test_a_missing_netconvert_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("shutil.which", lambda _name: None)
-    with pytest.raises(NetworkError, match="no program 'netconvert'"):
+    with pytest.raises(RoadNetworkError, match="no program 'netconvert'"):
         simulate(load_scene("s_curve"), 5.0, 1)
 
 

@@ -12,21 +12,26 @@ from made_twin import DATUM, made_network, rows
 from geoorbit_ros.calibration.camera_pose import recover_pose
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.calibration.homography import fit_homography
-from geoorbit_ros.roadnet.errors import CarlaError, RoadNetworkError
+from geoorbit_ros.roadnet.errors import RoadNetworkError
 from geoorbit_ros.roadnet.map_build import build_from_network
 from geoorbit_ros.roadnet.network import RoadNetwork, load_network
 from geoorbit_ros.scenes.roads import place_roads
 from geoorbit_ros.scenes.scene import load_scene
 from geoorbit_ros.scenes.simulate import scene_camera
 from geoorbit_ros.scenes.survey import survey_control_points
-from geoorbit_ros.twin.carla.client import CarlaClient, picture, transform
+from geoorbit_ros.twin.carla.client import (
+    CarlaClient,
+    CarlaError,
+    CarlaVehicles,
+    pixels_of,
+    transform,
+)
 from geoorbit_ros.twin.carla.frame import (
     CarlaPose,
     camera_pose,
     read_opendrive,
     vehicle_pose,
 )
-from geoorbit_ros.twin.carla.vehicles import CarlaFleet
 
 carla: Any = pytest.importorskip("carla", reason="CARLA's client needs Python 3.10 to 3.12")
 ORIGIN = np.zeros(2)
@@ -137,7 +142,7 @@ class FakeServer:
 
 def test_actors_come_move_and_go_with_the_twins_vehicles() -> None:
     server = FakeServer()
-    fleet = CarlaFleet(server)
+    fleet = CarlaVehicles(server)
     fleet.update(rows([(1, 10.0, 5.0), (2, 200.0, 5.0)]), ORIGIN)
     assert list(fleet.actors) == [1]
     assert fleet.refused == 1
@@ -155,7 +160,7 @@ def test_actors_come_move_and_go_with_the_twins_vehicles() -> None:
 
 def test_a_picture_is_blue_green_red() -> None:
     raw = np.arange(2 * 3 * 4, dtype=np.uint8)
-    image = picture(raw.tobytes(), 3, 2)
+    image = pixels_of(raw.tobytes(), 3, 2)
     assert image.shape == (2, 3, 3)
     assert image[1, 2].tolist() == [20, 21, 22]
 

@@ -9,7 +9,6 @@ from made_twin import DATUM, FakeSimulation
 
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.core.tables import TRACK_DTYPE
-from geoorbit_ros.roadnet.errors import SimulationError
 from geoorbit_ros.roadnet.network import RoadNetwork, load_network
 from geoorbit_ros.scenes.network import write_network
 from geoorbit_ros.scenes.road_plan import Road, Start, Straight
@@ -19,6 +18,7 @@ from geoorbit_ros.twin.forecast.files import ForecastStart
 from geoorbit_ros.twin.forecast.observed_traffic import Demand, ObservedTraffic
 from geoorbit_ros.twin.forecast.runs import AS_IT_IS, WITH_CHANGES, Forecast, ForecastRun
 from geoorbit_ros.twin.scenario import Scenario, parse_scenario
+from geoorbit_ros.twin.sumo_process import SimulationError
 from geoorbit_ros.twin.synchronizer import Synchronizer
 
 SPEED_MPS, SEEN_S = 22.0, 120.0

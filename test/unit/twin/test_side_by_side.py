@@ -16,8 +16,7 @@ from geoorbit_ros.scenes.roads import place_roads
 from geoorbit_ros.scenes.scene import load_scene
 from geoorbit_ros.scenes.simulate import scene_camera
 from geoorbit_ros.scenes.survey import survey_control_points
-from geoorbit_ros.twin.side_by_side import compare_boxes, side_by_side
-from geoorbit_ros.twin.twin_camera import TwinCamera
+from geoorbit_ros.twin.side_by_side import TwinCamera, compare_boxes, side_by_side
 
 DATUM = Datum(43.05, -89.35)
 

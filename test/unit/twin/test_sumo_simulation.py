@@ -14,7 +14,7 @@ from made_twin import DATUM, made_network, made_roads
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import ParameterError
-from geoorbit_ros.roadnet.errors import RoadNetworkError, SimulationError
+from geoorbit_ros.roadnet.errors import RoadNetworkError
 from geoorbit_ros.roadnet.network import RoadNetwork, load_network
 from geoorbit_ros.twin.running_network import (
     MAX_POINTS,
@@ -23,7 +23,9 @@ from geoorbit_ros.twin.running_network import (
     thin,
     write_running_network,
 )
-from geoorbit_ros.twin.simulation import Backend, Moves, SumoSimulation, backend_of
+from geoorbit_ros.twin.simulation import Moves
+from geoorbit_ros.twin.sumo_process import SimulationError
+from geoorbit_ros.twin.sumo_simulation import Backend, SumoSimulation, backend_of
 
 
 @pytest.fixture(scope="module")

@@ -30,7 +30,7 @@ from geoorbit_ros.tracking.parameters import TrackerParameters
 from geoorbit_ros.tracking.tracker import Tracker
 from geoorbit_ros.twin.placement import TwinStep
 from geoorbit_ros.twin.replay import ReplayScore, TrackStream, replay_tracks
-from geoorbit_ros.twin.simulation import SumoSimulation
+from geoorbit_ros.twin.sumo_simulation import SumoSimulation
 from scores.twin_truth import LaneScore, LaneTruth
 
 DURATION_S, SEED = 20.0, 3

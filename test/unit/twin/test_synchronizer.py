@@ -7,11 +7,11 @@ import pytest
 from made_twin import DATUM, START_NS, STEP_NS, FakeSimulation, Steps, made_network, rows
 
 from geoorbit_ros.calibration.datum import Datum
-from geoorbit_ros.roadnet.errors import SimulationError
 from geoorbit_ros.roadnet.network import RoadNetwork, load_network
 from geoorbit_ros.twin.false_tracks import SETTLE_S
 from geoorbit_ros.twin.runner import RETRY_S, TwinRunner
 from geoorbit_ros.twin.simulation import Simulation
+from geoorbit_ros.twin.sumo_process import SimulationError
 from geoorbit_ros.twin.synchronizer import Synchronizer, plausible_course
 
 HOLD_S = 1.5

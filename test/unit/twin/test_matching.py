@@ -7,7 +7,7 @@ import pytest
 from made_twin import made_network, made_roads
 from numpy.typing import NDArray
 
-from geoorbit_ros.roadnet.network import NONE, RoadNetwork, load_network
+from geoorbit_ros.roadnet.network import NO_LANE, RoadNetwork, load_network
 from geoorbit_ros.twin.matching import LaneMatcher
 
 
@@ -29,7 +29,7 @@ def drive(
     for xy, angle in zip(line, heading, strict=True):
         seen = xy + noise_m * random.standard_normal(2)
         lane = matcher.update(slot, seen[None], np.array([angle]), np.array([0.3])).lane[0]
-        lanes.append(network.lane_id[lane] if lane != NONE else "")
+        lanes.append(network.lane_id[lane] if lane != NO_LANE else "")
     return lanes
 
 

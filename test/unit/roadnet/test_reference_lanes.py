@@ -9,10 +9,9 @@ from made_twin import DATUM, made_network, made_roads
 
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.core.polylines import project
-from geoorbit_ros.roadnet.camera_view import inside, view_polygon
 from geoorbit_ros.roadnet.errors import RoadNetworkError
 from geoorbit_ros.roadnet.network import RoadNetwork, load_network
-from geoorbit_ros.roadnet.reference_lanes import lane_chains, reference_lanes
+from geoorbit_ros.roadnet.reference_lanes import inside, lane_chains, reference_lanes, view_polygon
 from geoorbit_ros.scenes.network import write_network
 from geoorbit_ros.scenes.roads import place_roads
 from geoorbit_ros.scenes.scene import load_scene

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.roadnet.network import NONE, RoadNetwork
+from geoorbit_ros.roadnet.network import NO_LANE, RoadNetwork
+from geoorbit_ros.twin.forecast.runs import Forecast
 
 MARGIN_M = 15.0
 _COLOURS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#9467bd", "#8c564b", "#17becf")
 
 
-class WayKeeper:
+class VehiclePaths:
     """Remembers where vehicles were, for the picture.
 
     Attributes:
         xy: (N, 2) positions.
-        lane: (N,) lane numbers, `NONE` beside the network.
+        lane: (N,) lane numbers, `NO_LANE` beside the network.
     """
 
     def __init__(self) -> None:
@@ -41,7 +43,7 @@ class WayKeeper:
         return np.concatenate([np.empty(0, np.int64), *self._lane])
 
 
-def save_picture(path: Path, network: RoadNetwork, ways: WayKeeper, title: str) -> None:
+def save_twin_figure(path: Path, network: RoadNetwork, ways: VehiclePaths, title: str) -> None:
     """Draw the part of the network where vehicles were, the road lying along the page."""
     from matplotlib.figure import Figure
 
@@ -63,10 +65,10 @@ def save_picture(path: Path, network: RoadNetwork, ways: WayKeeper, title: str) 
         line = (network.line(k) - centre) @ turn.T
         style = ":" if network.internal[k] else "-"
         plot.plot(line[:, 0], line[:, 1], style, color="0.75", linewidth=1.0, zorder=1)
-    for k in np.unique(lane[lane != NONE]).tolist():
+    for k in np.unique(lane[lane != NO_LANE]).tolist():
         at, colour = lane == k, _COLOURS[k % len(_COLOURS)]
         plot.plot(flat[at, 0], flat[at, 1], ",", color=colour, zorder=2, rasterized=True)
-    beside = lane == NONE
+    beside = lane == NO_LANE
     plot.plot(flat[beside, 0], flat[beside, 1], "x", color="#d62728", markersize=3, zorder=3)
     plot.set_xlim(low[0], high[0])
     plot.set_ylim(low[1], high[1])
@@ -77,7 +79,7 @@ def save_picture(path: Path, network: RoadNetwork, ways: WayKeeper, title: str) 
     figure.savefig(path, dpi=130)
 
 
-def save_map(path: Path, network: RoadNetwork) -> None:
+def save_network_figure(path: Path, network: RoadNetwork) -> None:
     """Draw a whole network in the map frame, north up, with arrows along its lanes."""
     from matplotlib.figure import Figure
 
@@ -99,4 +101,46 @@ def save_map(path: Path, network: RoadNetwork) -> None:
     plot.set_ylabel("north, m")
     plot.set_title(f"{network.path.name}: colours count lanes from the right", fontsize=10)
     figure.tight_layout()
+    figure.savefig(path, dpi=130)
+
+
+def save_forecast_figure(path: Path, network: RoadNetwork, forecasts: Sequence[Forecast]) -> None:
+    """Lanes coloured by mean speed, their distances across the road stretched; queues in black."""
+    from matplotlib import colormaps
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+    from matplotlib.figure import Figure
+
+    points = network.point_m
+    centre = points.mean(axis=0)
+    _, _, axes = np.linalg.svd(points - centre, full_matrices=False)
+    along = axes[0] * (1.0 if axes[0, 0] >= 0 else -1.0)
+    turn = np.array([along, [-along[1], along[0]]])
+    fastest = max([80.0, *(k.speed_kmh or 0.0 for one in forecasts for k in one.lanes)])
+    colours = colormaps["RdYlGn"]
+    figure = Figure(figsize=(11.0, 1.2 + 3.0 * len(forecasts)), layout="constrained")
+    plots = figure.subplots(len(forecasts), 1, sharex=True, squeeze=False)[:, 0]
+    for plot, one in zip(plots, forecasts, strict=True):
+        for lane in one.lanes:
+            number = network.number[lane.lane]
+            line = (network.line(number) - centre) @ turn.T
+            empty = lane.speed_kmh is None
+            plot.plot(
+                *line.T,
+                color="0.6" if empty else colours((lane.speed_kmh or 0.0) / fastest),
+                linestyle=":" if empty else "-",
+                linewidth=1.5 if empty else 4.0,
+                solid_capstyle="butt",
+            )
+            if lane.queue_m_max >= 1.0:
+                arc = network.arc(number)
+                queued = np.linspace(max(arc[-1] - lane.queue_m_max, 0.0), arc[-1], 30)
+                x, y = (np.interp(queued, arc, line[:, k]) for k in range(2))
+                plot.plot(x, y, color="black", linewidth=1.0)
+        words = f"{one.scenario}: {one.changes}" if one.changes != one.scenario else one.scenario
+        plot.set_title(f"{words}; {one.left_per_h:.0f} vehicles per hour", fontsize=10)
+        plot.set_ylabel("across, m")
+    plots[-1].set_xlabel("along the road, m; dotted: no vehicle; black: the longest queue")
+    scale = ScalarMappable(Normalize(0.0, fastest), colours)
+    figure.colorbar(scale, ax=list(plots), label="mean speed, km/h")
     figure.savefig(path, dpi=130)

@@ -7,7 +7,7 @@ import pytest
 
 from geoorbit_ros.core.lanes import Lane, Status
 from geoorbit_ros.metrics.score import score_lanes
-from geoorbit_ros.report.words import (
+from geoorbit_ros.report.text import (
     compass,
     missing_sentence,
     number,

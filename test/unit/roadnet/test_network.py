@@ -9,7 +9,7 @@ from made_twin import DATUM, made_network, made_roads
 
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.roadnet.errors import RoadNetworkError
-from geoorbit_ros.roadnet.network import NONE, RoadNetwork, load_network
+from geoorbit_ros.roadnet.network import NO_LANE, RoadNetwork, load_network
 from geoorbit_ros.roadnet.plane import NetworkPlane
 
 UTM = "+proj=utm +zone=16 +datum=WGS84 +units=m +no_defs"
@@ -42,7 +42,7 @@ def test_lanes_know_their_neighbours_and_what_comes_next(network: RoadNetwork) -
     middle = number["east_1"]
     assert network.left[middle] == number["east_2"]
     assert network.right[middle] == number["east_0"]
-    assert network.left[number["east_2"]] == network.right[number["east_0"]] == NONE
+    assert network.left[number["east_2"]] == network.right[number["east_0"]] == NO_LANE
 
     def reached(lane: str) -> set[str]:
         found, waiting = set(), [number[lane]]
