@@ -105,8 +105,16 @@ def frames_from_rows(stamp_ns: NDArray[np.int64], rows: NDArray[np.void]) -> Fra
 
 UNKNOWN_CLASS = -1
 """A tracker that was told no class: its tracks are taken for vehicles."""
-LARGE_CLASSES = (5, 7)
-"""Bus and truck."""
-VEHICLE_CLASSES = (UNKNOWN_CLASS, 2, 3, *LARGE_CLASSES)
-"""Car, motorcycle, bus and truck. People and bicycles have paths that are no lanes."""
+CAR = 2
+"""COCO's number of cars and vans (Lin et al. 2014, 80 classes, from 0)."""
+MOTORCYCLE = 3
+"""COCO's number."""
+BUS = 5
+"""COCO's number."""
+TRUCK = 7
+"""COCO's number."""
+LARGE_CLASSES = (BUS, TRUCK)
+"""Vehicles that hide others."""
+VEHICLE_CLASSES = (UNKNOWN_CLASS, CAR, MOTORCYCLE, *LARGE_CLASSES)
+"""Classes that lanes are made of. People and bicycles have paths that are no lanes."""
 VEHICLE_CLASS_TEXT = "2 (car), 3 (motorcycle), 5 (bus), 7 (truck) or -1 (unknown)"

@@ -1,7 +1,7 @@
 """Where in the image vehicles drive: a heat map of detections, and its contours.
 
 The paper's road segment generation (section 4, knowledge-based lane detection): detections of the
-observation period pile up on the road; the outlines of the piles are the road segments.
+observation period are counted per cell; the outlines of cells with many are the road segments.
 """
 
 from __future__ import annotations
@@ -11,23 +11,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 CELL_PX = 8
-"""Side of a cell of the heat map."""
+"""Side of a cell of the heat map. Chosen: larger blurs the road's edge, smaller needs more
+detections."""
 MIN_FRAMES = 3.0
-"""Detections that must have covered a cell of the road, faded ones counting less."""
+"""Detections that must have covered a cell of the road, faded ones counting less. Chosen: more miss
+quiet roads, fewer take false boxes for road."""
 MIN_SHARE = 0.02
-"""The same as a share of the busiest cells: false alarms are rare in comparison."""
+"""The same as a share of the busiest cells (95th percentile): false alarms are rare in comparison.
+Chosen: larger misses quiet lanes beside busy ones."""
 MEMORY_S = 3600.0
-"""Time after which a detection counts 37 %."""
+"""Time after which a detection counts 37 %. Chosen: longer keeps old roads after the camera turned,
+shorter forgets quiet roads."""
 UPDATE_S = 5.0
-"""Contours are drawn anew this often."""
+"""Time between two drawings of the contours. Chosen: shorter takes more time."""
 LEARNING_S = 30.0
-"""Before, nothing is outside."""
+"""Time before which nothing is outside. Chosen: shorter leaves lanes out that no vehicle used
+yet."""
 MIN_CELLS = 12
-"""Smaller piles are no road segment."""
+"""Least area of a road segment in cells. Chosen: larger misses far roads, smaller finds false
+boxes."""
 FOOT = 0.5
-"""Share of a box, from below, that stands on the road rather than in front of what is behind."""
+"""Share of a box, from below, that is taken to stand on the road; the rest hides what is behind
+it."""
 _SMOOTH_CELLS = 3
+"""Gaps of so many cells are closed, and segments widened by one cell."""
 _MAX_ERROR_PX = 4.0
+"""Contours are simplified by at most this: half a cell."""
 
 Contour = NDArray[np.float32]
 """(K, 2) pixels, closed, in the order of cv2.findContours."""

@@ -9,11 +9,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.core.tables import LARGE_CLASSES
 from geoorbit_ros.rendering.conditions import Illumination
 from geoorbit_ros.rendering.occlusion import Silhouettes
 from geoorbit_ros.rendering.paints import material_colours
 from geoorbit_ros.rendering.solid import Solid
-from geoorbit_ros.rendering.vehicle_solids import BUS, TRUCK, vehicle_solid
+from geoorbit_ros.rendering.vehicle_solids import vehicle_solid
 from geoorbit_ros.scenes.camera import PinholeCamera
 from geoorbit_ros.scenes.detector_model import View
 
@@ -157,7 +158,7 @@ class Painter:
         up = 0.5 * (1.0 + normals[:, 2])
         sky = (up + _BOUNCE * (1.0 - up))[:, None] * np.array(light.ambient)
         direct = np.maximum(normals @ sun, 0.0)[:, None] * np.array(light.sun)
-        large = body.coco_class in (BUS, TRUCK)
+        large = body.coco_class in LARGE_CLASSES
         table = material_colours(body.vehicle, large, self._seed, light.headlights)
         albedo, gloss, glow = table[:, body.solid.materials]
         facing = np.clip(normals[:, 2], 0.0, 1.0)[:, None]

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from functools import lru_cache
 
+from geoorbit_ros.core.tables import BUS, MOTORCYCLE, TRUCK
 from geoorbit_ros.rendering.solid import Material, Solid, SolidBuilder
 
-CAR, MOTORCYCLE, BUS, TRUCK = 2, 3, 5, 7
-"""COCO classes."""
-SUV_HEIGHT_M, VAN_HEIGHT_M, SEMITRAILER_LENGTH_M = 1.62, 2.02, 12.5
-"""From this size on a car is drawn as an SUV, a van; a truck as a semitrailer."""
+SUV_HEIGHT_M = 1.62
+"""From this height on a car is drawn as an SUV: between the two of `VEHICLE_TYPES`."""
+VAN_HEIGHT_M = 2.02
+"""From this height on a car is drawn as a van: between the two of `VEHICLE_TYPES`."""
+SEMITRAILER_LENGTH_M = 12.5
+"""From this length on a truck is drawn with a trailer: between the two of `VEHICLE_TYPES`."""
 
 P, G, D, C = Material.PAINT, Material.GLASS, Material.DARK, Material.CARGO
 

@@ -8,32 +8,44 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.core.tables import CAR, MOTORCYCLE, TRUCK
 from geoorbit_ros.detection.detector import Image, as_bgr, detection_rows
 from geoorbit_ros.detection.motion.background import RoadBackground
-from geoorbit_ros.detection.motion.blobs import Blob, find_blobs
-from geoorbit_ros.detection.motion.pixels import busy_rows
+from geoorbit_ros.detection.motion.blobs import Vehicle, busy_rows, find_vehicles
 from geoorbit_ros.detection.motion.road_axes import RoadAxes
 from geoorbit_ros.detection.motion.shadows import ShadowModel
-from geoorbit_ros.detection.motion.vehicle_shapes import Silhouettes, VehicleSizes
-from geoorbit_ros.detection.motion.view_watch import CameraWatch
-from geoorbit_ros.detection.vehicle_classes import CAR, MOTORCYCLE, TRUCK
+from geoorbit_ros.detection.motion.vehicle_shapes import VehicleOutlines, VehicleSizes
+from geoorbit_ros.detection.motion.view_watch import ViewWatch
 
 WORK_WIDTH_PX = 1280
-"""Wider images are worked on at this width."""
+"""Wider images are worked on at this width. Chosen: wider ones show smaller vehicles and take more
+time; `benchmarks/motion.py` measures films of this width."""
 BEST_SCORE = 0.9
+"""Score of a vehicle that looks exactly like a car. Chosen below 1: no model has confirmed it."""
 LEARN_FRAMES = 20
-"""Sizes are learnt anew once in so many frames."""
+"""Sizes are learnt anew once in so many frames. Chosen: more frames follow a new camera later,
+fewer take more time."""
 SHADOW_PERIOD_S = 0.12
-"""Shadows are learnt from one picture in so much time."""
+"""Shadows are learnt from one image in so much time. Chosen: longer periods follow the sun later,
+shorter ones take more time."""
 EDGE_PX = 0.5
-"""Edges are blurred, and a vehicle begins where it differs a little: half a pixel too early."""
+"""Edges are blurred, and the difference already exceeds the threshold half a pixel before the edge.
+Checked by `test_edges_are_where_they_are_in_the_middle`."""
 BENEATH_SHARE = 0.035
-"""Of a box's height, from below, is the darkness beneath the vehicle rather than the vehicle."""
+"""Share of a box's height, from below, that is the darkness beneath the vehicle. Checked by
+`test_edges_are_where_they_are_in_the_middle`."""
 CHANGED_SHARE = 0.5
-"""More of the image than this doesn't change at once unless the camera or the light does."""
+"""More of the image than this changes at once only with the camera or the light. Chosen: larger
+misses such changes, smaller takes dense traffic for one."""
 CHANGED_FRAMES = 5
-TRUCK_AREA, MOTORCYCLE_WIDTH = 2.2, 0.5
-"""Of a car's: what is larger is called a truck, what is narrower a motorcycle."""
+"""After so many changed frames the road is learnt anew. Chosen: more lose time, fewer react to a
+flash of light."""
+TRUCK_AREA = 2.2
+"""A box of more than this many cars' area is a truck. Chosen: larger calls trucks cars, smaller
+calls vans trucks."""
+MOTORCYCLE_WIDTH = 0.5
+"""A box narrower than this many cars is a motorcycle. Chosen: about 0.8 m over 1.8 m, and a
+margin."""
 
 
 class MotionDetector:
@@ -71,45 +83,45 @@ class MotionDetector:
             self._size = size
             self._forget()
         scale = min(1.0, WORK_WIDTH_PX / size[0])
-        picture = whole if scale == 1.0 else _resized(whole, scale)
-        self._road.sample(stamp_ns, picture)
-        blobs = self._blobs(stamp_ns, picture) if self._road.ready else []
-        return self._rows(blobs, scale, size)
+        smaller = whole if scale == 1.0 else _resized(whole, scale)
+        self._road.sample(stamp_ns, smaller)
+        vehicles = self._vehicles(stamp_ns, smaller) if self._road.ready else []
+        return self._rows(vehicles, scale, size)
 
     def _forget(self) -> None:
         self._road, self._shadows, self._sizes = RoadBackground(), ShadowModel(), VehicleSizes()
-        self._watch, self._shapes, self._axes = CameraWatch(), Silhouettes(), RoadAxes()
+        self._watch, self._outlines, self._axes = ViewWatch(), VehicleOutlines(), RoadAxes()
         self._frames = self._changed = 0
         self._learnt_ns: int | None = None
 
-    def _blobs(self, stamp_ns: int, picture: Image) -> list[Blob]:
-        moving = self._road.moving(picture)
-        road = self._road.picture
-        if self._is_other_road(stamp_ns, picture, road, moving):
+    def _vehicles(self, stamp_ns: int, image: Image) -> list[Vehicle]:
+        moving = self._road.moving(image)
+        road = self._road.image
+        if self._is_other_road(stamp_ns, image, road, moving):
             return []
-        self._road.follow(stamp_ns, picture, moving)
+        self._road.follow(stamp_ns, image, moving)
         last = self._learnt_ns
         if last is None or not 0 <= stamp_ns - last < SHADOW_PERIOD_S * 1e9:
             self._learnt_ns = stamp_ns
-            self._shadows.learn(picture, road, moving)
+            self._shadows.learn(image, road, moving)
         rows = busy_rows(moving)
         vehicle = np.zeros_like(moving)
-        solid = self._shadows.remove(picture[rows], road[rows], moving[rows])
+        solid = self._shadows.remove(image[rows], road[rows], moving[rows])
         cv2.medianBlur(solid, 3, dst=vehicle[rows])
-        blobs = find_blobs(moving, vehicle, self._sizes, self._shapes, self._axes)
-        whole = [blob.box for blob in blobs if blob.whole]
+        vehicles = find_vehicles(moving, vehicle, self._sizes, self._outlines, self._axes)
+        whole = [vehicle.box for vehicle in vehicles if vehicle.whole]
         self._axes.add(stamp_ns, whole)
         self._sizes.add(np.array(whole, dtype=np.float64).reshape(-1, 4))
         if self._frames % LEARN_FRAMES == 0:
             self._sizes.learn()
         self._frames += 1
-        return blobs
+        return vehicles
 
     def _is_other_road(
-        self, stamp_ns: int, picture: Image, road: Image, moving: NDArray[np.uint8]
+        self, stamp_ns: int, image: Image, road: Image, moving: NDArray[np.uint8]
     ) -> bool:
-        """Whether the picture shows another road than the known one; then it is learnt anew."""
-        shift = self._watch.shift(stamp_ns, picture, road)
+        """Whether the image shows another road than the known one; then it is learnt anew."""
+        shift = self._watch.shift(stamp_ns, image, road)
         if shift is not None:
             self.relearned += 1
             self._road.move(shift)
@@ -121,9 +133,13 @@ class MotionDetector:
             self._road, self._shadows, self._changed = RoadBackground(), ShadowModel(), 0
         return changed
 
-    def _rows(self, blobs: list[Blob], scale: float, size: tuple[int, int]) -> NDArray[np.void]:
-        score = BEST_SCORE * np.array([blob.likeness for blob in blobs], dtype=np.float64)
-        boxes = np.array([blob.box for blob in blobs], dtype=np.float64).reshape(-1, 4)
+    def _rows(
+        self, vehicles: list[Vehicle], scale: float, size: tuple[int, int]
+    ) -> NDArray[np.void]:
+        score = BEST_SCORE * np.array(
+            [vehicle.similarity for vehicle in vehicles], dtype=np.float64
+        )
+        boxes = np.array([vehicle.box for vehicle in vehicles], dtype=np.float64).reshape(-1, 4)
         kept = score >= self.min_score
         boxes, score = boxes[kept], score[kept]
         classes = self._classes(boxes)

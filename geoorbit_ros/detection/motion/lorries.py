@@ -14,37 +14,46 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.detection.motion.road_axes import RoadAxes
-from geoorbit_ros.detection.motion.vehicle_shapes import Box, Silhouettes, VehicleSizes
+from geoorbit_ros.detection.motion.vehicle_shapes import Box, VehicleOutlines, VehicleSizes
 
-WIDER = 1.3
-"""A lorry's 2.55 m over a car's 1.85 m, and a little less: the length is a part of the outline."""
-LENGTHS, HEIGHTS = (3.0, 2.4, 1.8, 1.2, 0.6, 0.0), (2.5, 1.9, 1.4)
-"""How far a lorry reaches beyond a car, in cars, from 5 m to trailers of 19 m, and how much higher
-its ends are than cars. A row of cars is not higher: that tells them apart.
-The shortest that is not long, the last pair, is a van and left out."""
-COARSER = 0.75
-"""Lorries are looked for in smaller pictures than cars."""
-SIZE_STEP = 0.3
-LORRY_COST = 0.7
-"""Evidence that a lorry needs, in cars' areas."""
-LEAST_SEEN = 0.5
-"""What a lorry gains at least, of what it would if all its outline were seen."""
-MARGIN_PX = 2
-"""An outline may reach so far beyond the patch."""
-ROW_STEP = 2
 Outline = NDArray[np.float64]
 """(N, 2) points whose convex hull is a vehicle's outline, right and down in the image, pixels."""
-_FINE = 16  # parts of a pixel that outlines are drawn to
+
+WIDER = 1.3
+"""Width of a lorry's outline in cars: 2.55 m over 1.85 m, and a little less, because a part of the
+outline's width is a car's length."""
+LENGTHS = (3.0, 2.4, 1.8, 1.2, 0.6, 0.0)
+"""How far a lorry reaches beyond a car, in cars: from 5 m to trailers of 19 m."""
+HEIGHTS = (2.5, 1.9, 1.4)
+"""Height of a lorry's ends in cars. A row of cars is not higher than a car: that tells them apart.
+The lowest with no length beyond a car is a van, and left out."""
+COARSER = 0.75
+"""Lorries are looked for in blobs smaller by this than those for cars, to save time."""
+SIZE_STEP = 0.3
+"""Rows in which cars differ less than this in height, as a natural logarithm, are taken for one.
+Chosen: smaller takes more time, larger draws lorries of the wrong size."""
+LORRY_COST = 0.7
+"""Evidence that a lorry needs, in cars' areas. Chosen: larger leaves lorries in pieces, smaller
+joins cars to lorries."""
+LEAST_SEEN = 0.5
+"""Least gain of a lorry, as a share of that of one wholly seen. Chosen: larger misses hidden
+lorries, smaller joins cars to lorries."""
+MARGIN_PX = 2
+"""An outline may reach so far beyond the blob: edges are blurred."""
+ROW_STEP = 2
+"""Sizes are looked up in every second row, to save time."""
+_FINE = 16
+"""Parts of a pixel that outlines are drawn to."""
 
 
 @dataclass(frozen=True, slots=True)
 class LorrySearch:
-    """Finds lorries in a patch.
+    """Finds lorries in a blob.
 
     Attributes:
         hull: (N, 2) a car's convex outline there, right and down in shares of its box.
         along: Unit vector along the road, upwards in the image.
-        cut: Whether the border of the image cuts the patch's left, top, right, bottom.
+        cut: Whether the border of the image cuts the blob's left, top, right, bottom.
         sizes: How large a car is at each place.
     """
 
@@ -54,18 +63,18 @@ class LorrySearch:
     sizes: VehicleSizes
 
     def best(
-        self, worth: NDArray[np.float32], corner: tuple[int, int], zoom: tuple[float, float]
+        self, value: NDArray[np.float32], corner: tuple[int, int], zoom: tuple[float, float]
     ) -> Outline | None:
-        """The lorry that covers most of what is worth it, if one does.
+        """The lorry whose pixels gain most, if one gains enough.
 
         Args:
-            worth: (h, w) what it gains to cover each pixel of a patch that was made smaller.
-            corner: Where the patch's (0, 0) is in the image.
-            zoom: Pixels of `worth` per pixel of the image, right and down.
+            value: (h, w) gain of covering each pixel of a blob that was made smaller.
+            corner: Where the blob's (0, 0) is in the image.
+            zoom: Pixels of `value` per pixel of the image, right and down.
         """
-        ground, margin, ratio = self._ground(worth, zoom)
+        ground, margin, ratio = self._ground(value, zoom)
         origin = np.array(corner, dtype=np.float64) - margin / ratio
-        middle = corner[0] + 0.5 * worth.shape[1] / zoom[0]
+        middle = corner[0] + 0.5 * value.shape[1] / zoom[0]
         found, most = None, 0.0
         room = float(ground.clip(0.0).sum()) / LEAST_SEEN
         for first, last in self._rows(ground.shape[0], middle, origin[1], float(ratio[1])):
@@ -95,14 +104,14 @@ class LorrySearch:
         return found
 
     def _ground(
-        self, worth: NDArray[np.float32], zoom: tuple[float, float]
+        self, value: NDArray[np.float32], zoom: tuple[float, float]
     ) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.float64]]:
-        """What it is worth to cover each pixel, smaller still, and somewhat around the patch.
+        """The gain of covering each pixel, in a coarser image of the blob with a margin.
 
         Also the columns and rows added before it, and its pixels per pixel of the image. Beyond the
         border of the image it costs nothing.
         """
-        coarse = cv2.resize(worth, None, fx=COARSER, fy=COARSER, interpolation=cv2.INTER_AREA)
+        coarse = cv2.resize(value, None, fx=COARSER, fy=COARSER, interpolation=cv2.INTER_AREA)
         height, width = coarse.shape
         side = (width // 2, height // 2) * 2
         add = [more if cut else MARGIN_PX for more, cut in zip(side, self.cut, strict=True)]
@@ -113,7 +122,7 @@ class LorrySearch:
             if cut:
                 edge[:] = 0.0
         ground[add[1] : low, add[0] : right] = coarse
-        ratio = np.array(zoom, dtype=np.float64) * [width / worth.shape[1], height / worth.shape[0]]
+        ratio = np.array(zoom, dtype=np.float64) * [width / value.shape[1], height / value.shape[0]]
         return ground, np.array(add[:2], dtype=np.float64), ratio
 
     def _rows(self, height: int, x: float, top: float, ratio: float) -> Iterator[tuple[int, int]]:
@@ -150,21 +159,21 @@ def lorry_search(
     box: Box,
     cut: tuple[bool, bool, bool, bool],
     sizes: VehicleSizes,
-    shapes: Silhouettes,
+    outlines: VehicleOutlines,
     axes: RoadAxes,
 ) -> LorrySearch | None:
-    """A search for lorries in a patch that ends at this box; None where the road isn't known.
+    """A search for lorries in a blob that ends at this box; None where the road isn't known.
 
     Args:
         box: Left, top, right, bottom.
         cut: Which of these the border of the image cuts.
         sizes: How large a car is at each place.
-        shapes: What outline vehicles have there.
+        outlines: What outline vehicles have there.
         axes: Which way the road runs there.
     """
     x = 0.5 * (box[0] + box[2])
     along = axes.at(x, 0.5 * (box[1] + box[3]))
-    filled = (shapes.at(x, float(box[3])) > 0.5).astype(np.uint8)
+    filled = (outlines.at(x, float(box[3])) > 0.5).astype(np.uint8)
     pieces, _ = cv2.findContours(filled, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     if along is None or not pieces:
         return None

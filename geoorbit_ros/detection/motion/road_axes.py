@@ -8,20 +8,26 @@ from numpy.typing import NDArray
 from geoorbit_ros.detection.motion.vehicle_shapes import Box
 
 STEP_S = 0.1
-"""Vehicles are looked for again after so much time: far ones, too, have moved by then,"""
+"""Time after which vehicles are compared with where they were. Chosen: by then far ones have moved,
+too; after longer a vehicle may be taken for another."""
 LONGEST_S = 0.5
-"""and nothing is said of those last seen longer ago."""
+"""After a longer pause nothing is compared. Chosen: a vehicle at 30 m/s is 15 m farther by then."""
 MOST_STEP = 1.0
-"""A vehicle moves at most so many of its boxes' diagonals between; farther off is another one."""
+"""A vehicle moves at most so many diagonals of its box in between; farther off is another one.
+Chosen: larger pairs neighbours, smaller needs more frames per second."""
 LEAST_STEP_PX = 2.0
 """Edges are found to half a pixel: shorter steps have no direction."""
 ALIKE = 0.2
-"""Boxes of one vehicle are this equal in width and height, as a natural logarithm."""
+"""Boxes of one vehicle are this equal in width and height, as a natural logarithm. Chosen: larger
+pairs neighbours, smaller misses vehicles that turn."""
 MEMORY = 1200
+"""Steps that are remembered, the latest. Chosen: more take time, fewer forget quiet places."""
 NEAREST = 15
-"""So many steps nearest to a place say the direction there,"""
+"""So many steps nearest to a place give the direction there. Chosen: more look farther around,
+fewer are noisier."""
 AGREED = 0.9
-"""unless they disagree: length of their mean direction, 1 if all are parallel."""
+"""Least agreement of these steps, as the length of their mean direction, 1 if all are parallel.
+Chosen: larger has no direction in bends, smaller has one in junctions."""
 
 
 class RoadAxes:
@@ -38,7 +44,7 @@ class RoadAxes:
         self._last_ns: int | None = None
 
     def add(self, stamp_ns: int, boxes: list[Box]) -> None:
-        """Note boxes left, top, right, bottom of single vehicles in a picture."""
+        """Note boxes left, top, right, bottom of single vehicles in a image."""
         elapsed_s = np.inf if self._last_ns is None else (stamp_ns - self._last_ns) / 1e9
         if 0.0 <= elapsed_s < STEP_S:
             return

@@ -9,30 +9,41 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-MEMORY_BOXES = 4000
-MIN_BOXES = 120
-"""Fewer boxes say nothing."""
-TRIES = 150
-TOLERANCE = 0.2
-"""Cars are this equal in height, as a natural logarithm; other vehicles and faults are not."""
-BANDS, MIN_BAND = 12, 12
-"""Rows of the image in so many bands count equally; one with fewer boxes counts less."""
-_MIN_SHARE = 0.3
-"""Share of the boxes that must be cars for a fit to count."""
-MIN_HEIGHT_PX = 3.0
-CELLS = (8, 10)
-"""Where roads bend, cars turn: how their size departs from the line is learnt in so many cells,
-by height of the line and by column,"""
-CELL_PRIOR = 6.0
-"""and holds once more cars than this were seen there."""
-_ROW = (0, 2)
-"""Terms of `_place` that heights depend on."""
-
 Box = tuple[int, int, int, int]
 """Left, top, right, bottom in pixels."""
 
-
-CELL_BLUR, MAX_BEND = 0.6, 0.3
+MEMORY_BOXES = 4000
+"""Boxes that sizes are learnt from, the latest. Chosen: more take time, fewer forget quiet
+places."""
+MIN_BOXES = 120
+"""Boxes from which sizes are known. Chosen: more learn later, fewer learn from single lorries."""
+TRIES = 150
+"""Random pairs tried for the line of heights: with a third of the boxes cars, the chance that none
+of the pairs is two cars is below 1e-6 (Fischler and Bolles 1981)."""
+TOLERANCE = 0.2
+"""Cars are this equal in height, as a natural logarithm. Chosen: larger takes in vans, smaller
+leaves out small cars."""
+BANDS = 12
+"""The image is cut in so many bands of rows that count equally in the fit. Chosen: more have too
+few boxes each, fewer let one queue decide."""
+MIN_BAND = 12
+"""A band with fewer boxes counts less."""
+MIN_HEIGHT_PX = 3.0
+"""No car is taken to be less high: rows at the horizon would have none or a negative height."""
+CELLS = (8, 10)
+"""Where roads bend, cars turn: how their size departs from the line is learnt in so many cells, by
+height of the line and by column. Chosen: more need longer to learn, fewer blur bends."""
+CELL_PRIOR = 6.0
+"""Cars that the line counts for in each cell. Chosen: more learn bends later, fewer are noisier."""
+CELL_BLUR = 0.6
+"""1-sigma, in cells, by which neighbours count too: a cell by itself is noisy."""
+MAX_BEND = 0.3
+"""Largest departure of one box that is learnt, as a natural logarithm: more is another vehicle."""
+_MIN_SHARE = 0.3
+"""Share of the boxes that must be cars for a fit to count. Chosen: larger learns nothing where
+every second vehicle is a lorry, smaller learns from lorries."""
+_ROW = (0, 2)
+"""Terms of `_place` that heights depend on."""
 
 
 def _blurred(table: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -80,7 +91,7 @@ class VehicleSizes:
         return self._at(0.5 * (box[0] + box[2]), float(box[3]))
 
     def _at(self, x: float, bottom: float) -> tuple[float, float]:
-        # Plain numbers: this is asked for hundreds of times in a picture.
+        # Plain numbers: this is asked for hundreds of times in a image.
         u, v = x / self._scale, bottom / self._scale
         a, b, p, q, r, s = self._terms
         height = max(a + b * v, MIN_HEIGHT_PX)
@@ -180,16 +191,21 @@ class VehicleSizes:
 
 
 SIDE = 16
-"""Outlines are kept in a grid of so many cells each way, stretched to the vehicle's box."""
+"""Outlines are kept in a grid of so many cells each way, stretched to the vehicle's box. Chosen:
+more take time, fewer lose windscreens and bonnets."""
 MEMORY = 600
+"""Outlines that are remembered, the latest. Chosen: more take memory, fewer forget quiet places."""
 NEAREST = 25
-"""So many outlines of vehicles nearest to a place are averaged."""
+"""So many outlines of vehicles nearest to a place are averaged. Chosen: more look farther around,
+fewer are noisier."""
 SHARPNESS = 2.0
+"""Contrast of the averaged outline around one half. Chosen: larger ignores that vehicles differ,
+smaller leaves its edges soft."""
 FIRST_EXPONENT = 3.0
-"""Before there are any: between an ellipse (2) and a box."""
+"""Shape used before any outline is known: between an ellipse (2) and a box (infinite)."""
 
 
-class Silhouettes:
+class VehicleOutlines:
     """Remembers outlines of single vehicles, and tells the usual one of a place.
 
     All vehicles of a road stand the same way at one place of it, whatever their size.

@@ -1,4 +1,4 @@
-"""Notices that a camera was bumped: the picture as a whole lies elsewhere than the known road."""
+"""Notices that a camera was bumped: the image as a whole lies elsewhere than the known road."""
 
 from __future__ import annotations
 
@@ -9,39 +9,45 @@ from numpy.typing import NDArray
 from geoorbit_ros.detection.detector import Image
 
 PERIOD_S = 0.4
+"""Time between two comparisons. Chosen: with `TIMES` it takes 1.2 s to notice a bump; shorter
+periods take more time and agree within one sway."""
 WIDTH_PX = 320
-"""Pictures are compared at about this width."""
+"""Images are compared at about this width. Chosen: wider takes more time, narrower sees less."""
 MIN_SHIFT = 0.6
-"""Of a pixel at that width: less is sway, which the road's contrast takes in."""
+"""Smaller shifts, in pixels at that width, are sway, which the road's contrast allows for. Chosen:
+larger leaves a small bump unnoticed, smaller learns the road anew in the wind."""
 TIMES = 3
-"""So many looks in a row must agree: sway comes back."""
+"""So many comparisons in a row must agree, because sway swings back. Chosen: more lose time."""
 AGREEMENT = 0.5
+"""Shifts that agree differ by less than this, in pixels at that width. Chosen: larger accepts sway,
+smaller rejects a bump seen with noise."""
 MIN_RESPONSE = 0.15
-"""Of the correlation's peak, 1 for identical pictures: below, there is nothing to go by."""
+"""Least peak of the correlation, 1 for identical images. Chosen: larger misses bumps of poor
+images, smaller finds shifts in images that have nothing in common."""
 
 
-class CameraWatch:
-    """Measures where the picture lies against the road, a few times a second."""
+class ViewWatch:
+    """Measures where the image lies against the road, a few times a second."""
 
     def __init__(self) -> None:
         self._looked_ns: int | None = None
         self._shifts: list[NDArray[np.float64]] = []
         self._window: NDArray[np.float32] | None = None
 
-    def shift(self, stamp_ns: int, picture: Image, road: Image) -> NDArray[np.float64] | None:
-        """(2,) pixels right and down by which the camera's picture has moved for good, if it has.
+    def shift(self, stamp_ns: int, image: Image, road: Image) -> NDArray[np.float64] | None:
+        """(2,) pixels right and down by which the camera's image has moved for good, if it has.
 
         Args:
             stamp_ns: Capture time.
-            picture: (H, W, 3).
+            image: (H, W, 3).
             road: The same view without vehicles, as known.
         """
         last = self._looked_ns
         if last is not None and 0 <= stamp_ns - last < PERIOD_S * 1e9:
             return None
         self._looked_ns = stamp_ns
-        step = max(picture.shape[1] // WIDTH_PX, 1)
-        now, then = _small(picture, step), _small(road, step)
+        step = max(image.shape[1] // WIDTH_PX, 1)
+        now, then = _small(image, step), _small(road, step)
         if self._window is None or self._window.shape != now.shape:
             size = (now.shape[1], now.shape[0])
             self._window = np.asarray(cv2.createHanningWindow(size, cv2.CV_32F), np.float32)
@@ -59,7 +65,7 @@ class CameraWatch:
 
 
 def _small(image: Image, step: int) -> NDArray[np.float32]:
-    """The picture in grey, each pixel the mean of `step` x `step`."""
+    """The image in grey, each pixel the mean of `step` x `step`."""
     size = (image.shape[1] // step, image.shape[0] // step)
     smaller = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
     grey = cv2.cvtColor(smaller, cv2.COLOR_BGR2GRAY)

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.detection.detector import ModelError
-from geoorbit_ros.detection.onnx.metadata import OnnxMetadata
-from geoorbit_ros.detection.vehicle_classes import COCO_NAMES
+from geoorbit_ros.detection.onnx.class_names import COCO_NAMES
+from geoorbit_ros.detection.onnx.session import OnnxMetadata
 
 GRID_STRIDES = ((8, 16, 32), (8, 16, 32, 64))
 """Cells of these sizes, in this order, each giving one box; the second set has a P6 head."""

@@ -1,10 +1,12 @@
-"""An ONNX file in onnxruntime, checked: one image in, whatever it writes out."""
+"""An ONNX file in onnxruntime: its metadata, its input and its outputs, all checked."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import ast
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnxruntime
@@ -12,7 +14,6 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.detection.detector import ModelError
-from geoorbit_ros.detection.onnx.metadata import OnnxMetadata, parse_metadata
 
 _PREFERRED = (
     "CUDAExecutionProvider",
@@ -24,8 +25,84 @@ _PREFERRED = (
 """Without a wish: of these, all that this onnxruntime has. TensorRT only on request: it compiles
 for minutes first."""
 _FLOATS: dict[str, type[np.floating]] = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
-_DEFAULT_SIDE = 640
+_DEFAULT_SIDE_PX = 640
+"""Width and height of an input of open size whose file doesn't say: the default of `yolo
+export`."""
 _ERRORS_ONLY = 3
+"""onnxruntime's log level for errors and worse."""
+_DETECT = "detect"
+_DEFAULT_STRIDE = 32
+"""Inputs are multiples of this where the file doesn't say: the stride of all YOLO models without
+P6."""
+
+
+@dataclass(frozen=True, slots=True)
+class OnnxMetadata:
+    """The entries that Ultralytics' exporter writes; other exporters leave them out.
+
+    Attributes:
+        task: `detect`; None when the file does not say.
+        names: Name of each class; empty when the file does not say.
+        stride: Sizes of the input are multiples of it.
+        canvas: Width and height of the input; None when the file does not say.
+        dynamic: Whether the input may be smaller than `canvas`.
+        end2end: Whether the model needs no suppression; None when the file does not say.
+    """
+
+    task: str | None
+    names: dict[int, str]
+    stride: int
+    canvas: tuple[int, int] | None
+    dynamic: bool
+    end2end: bool | None
+
+
+def parse_metadata(entries: Mapping[str, str], place: str) -> OnnxMetadata:
+    """The metadata of a model whose file is `place`.
+
+    Raises:
+        ModelError: A task that finds no boxes, or an entry that can't be read.
+    """
+    task = entries.get("task")
+    if task is not None and task != _DETECT:
+        raise ModelError(place, f"a model for the task '{task}'", f"one for the task '{_DETECT}'")
+    names = _value(entries, "names", place, {})
+    if isinstance(names, list | tuple):
+        names = dict(enumerate(names))
+    _check(isinstance(names, dict), entries, "names", place)
+    size = _value(entries, "imgsz", place, None)
+    if isinstance(size, int):
+        size = [size, size]
+    sound = size is None or (isinstance(size, list | tuple) and len(size) == 2)
+    _check(sound and all(isinstance(n, int) and n > 0 for n in size or ()), entries, "imgsz", place)
+    stride = _value(entries, "stride", place, _DEFAULT_STRIDE)
+    _check(isinstance(stride, int) and stride > 0, entries, "stride", place)
+    arguments = _value(entries, "args", place, {})
+    end2end = _value(entries, "end2end", place, None)
+    return OnnxMetadata(
+        task=task,
+        names={int(number): str(name) for number, name in names.items()},
+        stride=stride,
+        canvas=(size[1], size[0]) if size else None,
+        dynamic=isinstance(arguments, dict) and bool(arguments.get("dynamic", False)),
+        end2end=None if end2end is None else bool(end2end),
+    )
+
+
+def _value(entries: Mapping[str, str], key: str, place: str, default: Any) -> Any:
+    """An entry, which holds a Python literal as text."""
+    if key not in entries:
+        return default
+    try:
+        return ast.literal_eval(entries[key])
+    except (ValueError, SyntaxError):
+        _check(False, entries, key, place)
+
+
+def _check(sound: bool, entries: Mapping[str, str], key: str, place: str) -> None:
+    if not sound:
+        found = f"{entries[key]!r:.80}"
+        raise ModelError(f"{place}, metadata '{key}'", found, "what `yolo export` writes there")
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +178,7 @@ def load_session(path: Path, providers: Sequence[str] = (), threads: int = 0) ->
     if not sound or (isinstance(shape[1], int) and shape[1] != 3):
         each = " and ".join(f"{'x'.join(map(str, i.shape))} {i.type}" for i in inputs)
         raise ModelError(place, f"input {each or 'of nothing'}", "one input Bx3xHxW of floats")
-    said = metadata.canvas or (_DEFAULT_SIDE, _DEFAULT_SIDE)
+    said = metadata.canvas or (_DEFAULT_SIDE_PX, _DEFAULT_SIDE_PX)
     height, width = (n if isinstance(n, int) else said[1 - k] for k, n in enumerate(shape[2:]))
     batch = shape[0] if isinstance(shape[0], int) else 0
     name = inputs[0].name

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.detection.detector import as_bgr, detection_rows
+from geoorbit_ros.detection.onnx.class_names import vehicle_classes
 from geoorbit_ros.detection.onnx.layouts import Candidates, GridLayout, choose_layout
 from geoorbit_ros.detection.onnx.model_input import GREY, Letterbox, ModelInput, centred, cornered
 from geoorbit_ros.detection.onnx.session import load_session
-from geoorbit_ros.detection.vehicle_classes import vehicle_classes
 
 MAX_CANDIDATES = 30000
 """More boxes than this before suppression: the best of them, as the common predictors do."""

@@ -13,7 +13,7 @@ CANVAS = (320, 256)
 SIZES = [(1920, 1080), (640, 480), (1920, 1080), (97, 1511), (320, 256), (7, 5), (640, 480)]
 
 
-def picture(size: tuple[int, int], seed: int) -> NDArray[np.uint8]:
+def made_image(size: tuple[int, int], seed: int) -> NDArray[np.uint8]:
     random = np.random.default_rng(seed)
     return random.integers(0, 256, (size[1], size[0], 3), dtype=np.uint8)
 
@@ -39,7 +39,7 @@ def test_images_of_changing_size_leave_nothing_behind(yolox: bool) -> None:
     scale = 1.0 if yolox else 1.0 / 255.0
     kept = ModelInput(np.float32, 1, scale=scale, swap=not yolox)
     for seed, box in enumerate(letterboxes(SIZES, yolox)):
-        image = picture(box.image_size, seed)
+        image = made_image(box.image_size, seed)
         np.testing.assert_allclose(
             kept.filled([box], [image])[0], published(box, image, yolox), rtol=1e-6
         )
@@ -49,7 +49,7 @@ def test_images_of_changing_size_leave_nothing_behind(yolox: bool) -> None:
 def test_batches_may_grow_and_shrink(batch: int) -> None:
     kept = ModelInput(np.float32, batch, scale=1.0 / 255.0, swap=True)
     boxes = letterboxes(SIZES, yolox=False)
-    images = [picture(size, seed) for seed, size in enumerate(SIZES)]
+    images = [made_image(size, seed) for seed, size in enumerate(SIZES)]
     for part in (slice(0, 2), slice(1, 5), slice(3, 4), slice(2, 6)):
         tensor = kept.filled(boxes[part], images[part])
         count = len(boxes[part])
@@ -62,7 +62,7 @@ def test_another_canvas_takes_other_memory() -> None:
     """Exports with a dynamic shape get a canvas of the image's own shape."""
     kept = ModelInput(np.float16, 0, scale=1.0 / 255.0, swap=True)
     for seed, size in enumerate([(320, 180), (180, 240), (320, 180)]):
-        box, image = centred(size, CANVAS, stride=32), picture(size, seed)
+        box, image = centred(size, CANVAS, stride=32), made_image(size, seed)
         tensor = kept.filled([box], [image])
         assert tensor.dtype == np.float16
         wanted = published(box, image, yolox=False).astype(np.float16)

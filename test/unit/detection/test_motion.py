@@ -66,24 +66,24 @@ def empty_road() -> NDArray[np.uint8]:
     return np.median([frame.image for frame in film()[::8]], axis=0).astype(np.uint8)
 
 
-def noisy(picture: NDArray[np.uint8], seed: int) -> NDArray[np.uint8]:
-    noise = np.random.default_rng(seed).normal(0.0, 2.0, picture.shape)
-    return np.clip(picture + noise, 0, 255).astype(np.uint8)
+def noisy(image: NDArray[np.uint8], seed: int) -> NDArray[np.uint8]:
+    noise = np.random.default_rng(seed).normal(0.0, 2.0, image.shape)
+    return np.clip(image + noise, 0, 255).astype(np.uint8)
 
 
 def run(
-    detector: MotionDetector, picture: NDArray[np.uint8], start_s: float, count: int
+    detector: MotionDetector, image: NDArray[np.uint8], start_s: float, count: int
 ) -> list[int]:
-    """Boxes in each of `count` noisy pictures of the same thing, 10 a second."""
+    """Boxes in each of `count` noisy images of the same thing, 10 a second."""
     found = []
     for k in range(count):
         stamp_ns = round((1.0 + start_s + 0.1 * k) * 1e9)
-        found.append(len(detector.detect(stamp_ns, noisy(picture, k))))
+        found.append(len(detector.detect(stamp_ns, noisy(image, k))))
     return found
 
 
-def small(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    return np.asarray(cv2.resize(picture, (640, 360), interpolation=cv2.INTER_AREA), np.uint8)
+def small(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    return np.asarray(cv2.resize(image, (640, 360), interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def test_an_empty_road_has_no_vehicles() -> None:

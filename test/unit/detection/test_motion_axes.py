@@ -12,7 +12,7 @@ def box_at(x: float, bottom: float) -> Box:
 
 
 def drive(axes: RoadAxes, step: tuple[float, float], period_s: float, start: float = 0.0) -> None:
-    """One vehicle that moves by so many pixels from picture to picture."""
+    """One vehicle that moves by so many pixels from image to image."""
     for k in range(30):
         box = box_at(300.0 + k * step[0], 300.0 + k * step[1])
         axes.add(round((1.0 + start + period_s * k) * 1e9), [box])

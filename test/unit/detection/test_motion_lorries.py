@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from geoorbit_ros.detection.motion.blobs import find_blobs
+from geoorbit_ros.detection.motion.blobs import find_vehicles
 from geoorbit_ros.detection.motion.road_axes import RoadAxes
-from geoorbit_ros.detection.motion.vehicle_shapes import Box, Silhouettes, VehicleSizes
+from geoorbit_ros.detection.motion.vehicle_shapes import Box, VehicleOutlines, VehicleSizes
 
 SIZE = (1280, 720)
 FOCAL_PX = 900.0
@@ -69,9 +69,9 @@ def box_of(mask: NDArray[np.uint8]) -> Box:
 
 
 @lru_cache
-def learnt(camera: Camera) -> tuple[VehicleSizes, Silhouettes, RoadAxes]:
+def learnt(camera: Camera) -> tuple[VehicleSizes, VehicleOutlines, RoadAxes]:
     """What cars that drove past one by one taught."""
-    sizes, shapes, axes = VehicleSizes(), Silhouettes(), RoadAxes()
+    sizes, outlines, axes = VehicleSizes(), VehicleOutlines(), RoadAxes()
     stamp_ns = 0
     for lane in (-2, -1, 0, 1, 2):
         for along_m in np.arange(-14.0, 50.0, 1.5).tolist():
@@ -80,18 +80,18 @@ def learnt(camera: Camera) -> tuple[VehicleSizes, Silhouettes, RoadAxes]:
             box = box_of(mask)
             axes.add(stamp_ns, [box])
             sizes.add(np.array([box], dtype=np.float64))
-            shapes.add((mask > 0).astype(np.uint8), box, (0, 0))
+            outlines.add((mask > 0).astype(np.uint8), box, (0, 0))
         stamp_ns += 10_000_000_000
     sizes.learn()
     assert sizes.known
-    return sizes, shapes, axes
+    return sizes, outlines, axes
 
 
 def found(camera: Camera, *vehicles: tuple[float, int, tuple[float, float, float]]) -> list[Box]:
     mask = np.zeros(SIZE[::-1], np.uint8)
     for vehicle in vehicles:
         mask |= camera.mask(*vehicle)
-    return [blob.box for blob in find_blobs(mask, mask, *learnt(camera))]
+    return [vehicle.box for vehicle in find_vehicles(mask, mask, *learnt(camera))]
 
 
 def overlap(a: Box, b: Box) -> float:

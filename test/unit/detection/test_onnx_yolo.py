@@ -10,8 +10,8 @@ from reference_decoder import Box, decode, iou
 
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.detection.detector import ModelError
+from geoorbit_ros.detection.onnx.class_names import COCO_NAMES
 from geoorbit_ros.detection.onnx.yolo import OnnxYolo, YoloOptions
-from geoorbit_ros.detection.vehicle_classes import COCO_NAMES
 
 CANVAS = (320, 256)
 CELLS = 40 * 32 + 20 * 16 + 10 * 8

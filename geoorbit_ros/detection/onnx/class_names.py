@@ -8,10 +8,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.core.tables import BUS, CAR, MOTORCYCLE, TRUCK
 from geoorbit_ros.detection.detector import ModelError
-
-CAR, MOTORCYCLE, BUS, TRUCK = 2, 3, 5, 7
-"""COCO class numbers."""
 
 _WORDS = {
     CAR: "car cars vehicle vehicles automobile sedan hatchback suv van vans minivan taxi jeep",
