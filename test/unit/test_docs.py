@@ -4,6 +4,9 @@ import re
 from pathlib import Path
 
 import pytest
+from typer.main import get_command
+
+from geoorbit_ros.cli.main import app
 
 REPOSITORY = Path(__file__).parents[2]
 GUIDES = [
@@ -12,6 +15,7 @@ GUIDES = [
     for path in sorted((REPOSITORY / folder).glob("*.md"))
 ]
 LINK = re.compile(r"\]\(([^)\s]+)\)|<(?:img|source)[^>]*(?:src|srcset)=\"([^\"]+)\"")
+URL = "https://github.com/geoorbit/geoorbit_ros"
 CODE = re.compile(r"```.*?```|`[^`\n]+`", re.DOTALL)
 
 
@@ -48,3 +52,35 @@ def test_decisions_are_numbered_without_holes_and_listed() -> None:
     for path in records:
         assert path.read_text(encoding="utf-8").startswith(f"# {path.name[:4]}: ")
         assert f"| [{path.name[:4]}]({path.name}) |" in index
+
+
+def test_images_of_the_readme_are_absolute_and_exist() -> None:
+    """A package index shows the README without the repository beside it."""
+    text = (REPOSITORY / "README.md").read_text(encoding="utf-8")
+    images = re.findall(r"!\[[^\]]*\]\(([^)]+)\)|<img[^>]*src=\"([^\"]+)\"", text)
+    assert images
+    for image in (a or b for a, b in images):
+        assert image.startswith(f"{URL}/raw/main/docs/images/"), image
+        assert (REPOSITORY / "docs" / "images" / image.rpartition("/")[2]).exists(), image
+
+
+def test_project_urls_are_those_of_the_site_and_the_readme() -> None:
+    for file in ("setup.cfg", "package.xml", "mkdocs.yml", "docs/site/hooks.py"):
+        assert URL in (REPOSITORY / file).read_text(encoding="utf-8"), file
+
+
+def test_the_readme_lists_the_commands_of_the_help() -> None:
+    text = (REPOSITORY / "README.md").read_text(encoding="utf-8")
+    rows = text.split("## Commands")[1].split("\n## ")[0].splitlines()
+    cells = [row.split("|")[1] for row in rows if row.startswith("| `")]
+    listed = [name for cell in cells for name in re.findall(r"`(\w+)`", cell)]
+    commands = getattr(get_command(app), "commands", {})
+    assert sorted(listed) == sorted(commands)
+
+
+def test_dev_explains_the_docs_requirements() -> None:
+    record = (REPOSITORY / "docs" / "adr" / "0002-dependencies.md").read_text(encoding="utf-8")
+    for line in (REPOSITORY / "requirements" / "docs.txt").read_text().splitlines():
+        if not line.startswith("#"):
+            assert f"`{line.partition('==')[0]}`" in record, line
+            assert line in (REPOSITORY / "requirements" / "docs-lock.txt").read_text()

@@ -1,0 +1,100 @@
+"""Pages that are made while the site is built: the API, and files outside docs/. See mkdocs.yml."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import mermaidx
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
+
+ROOT = Path(__file__).parents[2]
+PACKAGE = ROOT / "geoorbit_ros"
+REPOSITORY = "https://github.com/geoorbit/geoorbit_ros"
+
+OUTSIDE = {
+    "README.md": "index.md",
+    "CHANGELOG.md": "changelog.md",
+    "CONTRIBUTING.md": "contributing.md",
+    "benchmarks/README.md": "benchmarks.md",
+    "bags/README.md": "bags.md",
+    "msg_defs/README.md": "msg_defs.md",
+}
+"""Files of the repository that become pages of the site."""
+
+LINK = re.compile(r"(\]\(|(?:src|srcset|href)=\")(?!https?:|mailto:|#)([^)\s\"#]+)")
+DIAGRAM = re.compile(r"^```mermaid\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+IMAGES = f"{REPOSITORY}/raw/main/docs/"
+"""Where the README shows its images from, so that a package index shows them, too."""
+
+
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """Fill the menu's two lists that follow from the files."""
+    assert config.nav
+    for section in config.nav:
+        for entries in section.values():
+            for entry in entries if isinstance(entries, list) else ():
+                if "API" in entry:
+                    entry["API"] = [{name: page} for name, page, _ in api_pages()]
+                if "Decisions" in entry:
+                    records = sorted((ROOT / "docs" / "adr").glob("[0-9]*.md"))
+                    entry["Decisions"] = ["adr/README.md", *(f"adr/{r.name}" for r in records)]
+    return config
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the pages that do not lie in docs/."""
+    for source, page in OUTSIDE.items():
+        text = (ROOT / source).read_text(encoding="utf-8")
+        content = moved_links(text, ROOT / source, page).replace(IMAGES, "")
+        files.append(File.generated(config, page, content=content))
+    for _, page, text in api_pages():
+        files.append(File.generated(config, page, content=text))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
+    """Let links to files outside docs/ lead to their pages; draw the diagrams."""
+    source = page.file.src_uri
+    if source not in OUTSIDE.values() and not source.startswith("api/"):
+        markdown = moved_links(markdown, ROOT / "docs" / source, source)
+    return DIAGRAM.sub(lambda block: drawn(block[1]), markdown)
+
+
+def api_pages() -> list[tuple[str, str, str]]:
+    """Name, path and Markdown of one page per folder of the package."""
+    pages = []
+    for folder in sorted({PACKAGE, *(path.parent for path in PACKAGE.rglob("*.py"))}):
+        modules = [path for path in sorted(folder.glob("*.py")) if path.name != "__init__.py"]
+        if modules:
+            name = str(folder.relative_to(ROOT)).replace("/", ".")
+            short = name.partition(".")[2] or name
+            text = "\n\n".join([f"# {name}", *(f"::: {name}.{path.stem}" for path in modules)])
+            pages.append((short, f"api/{short}.md", text + "\n"))
+    return pages
+
+
+def moved_links(text: str, source: Path, page: str) -> str:
+    """Rewrite the relative links of `source` for its place `page` in the site.
+
+    Files that are no pages (code, folders) are linked in the repository.
+    """
+
+    def moved(match: re.Match[str]) -> str:
+        target = (source.parent / match[2]).resolve()
+        if not target.exists():
+            return match[0]
+        inside = str(target.relative_to(ROOT))
+        goal = OUTSIDE.get(inside) or inside.removeprefix("docs/")
+        if inside in OUTSIDE or (inside.startswith("docs/") and target.suffix != ".py"):
+            return match[1] + "../" * page.count("/") + goal
+        return f"{match[1]}{REPOSITORY}/blob/main/{inside}"
+
+    return LINK.sub(moved, text)
+
+
+def drawn(diagram: str) -> str:
+    """Draw a Mermaid diagram as SVG, so that no page loads a script for it."""
+    svg = mermaidx.render(diagram, theme="neutral").svg()
+    return f'<div class="diagram">{"".join(svg.splitlines())}</div>'
