@@ -1,13 +1,20 @@
-"""Holds the lanes of running cameras against the network, beside the simulation."""
+"""What the cameras' lanes change in the twin: where tracks are laid, where lanes are driven.
+
+`MapCheck` decides it, for `geoorbit twin replay` and for the node `sumo_bridge`; `MapWatch` runs
+the checks of the node in a thread beside the simulation.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 
 import numpy as np
 
 from geoorbit_ros.core.errors import GeoOrbitError
+from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.lanes.geojson import parse_lane_file
 from geoorbit_ros.mapcheck.alignment import Alignment
 from geoorbit_ros.mapcheck.driven_lanes import DrivenLane, DrivenNetwork, as_driven, merged
@@ -15,39 +22,107 @@ from geoorbit_ros.mapcheck.validation import Validation, validate
 from geoorbit_ros.roadnet.network import RoadNetwork
 
 STEADY_M = 0.15
-"""What is in use stays while something new differs by less: vehicles are not to tremble."""
+"""An alignment or a driven lane is kept until a new one differs by this. Chosen: larger follows the
+cameras later; smaller moves vehicles of the running twin sideways with every check."""
 
 Checked = Validation | GeoOrbitError
-_Looked = tuple[int, Validation, DrivenNetwork | None]
+
+
+@dataclass(frozen=True, slots=True)
+class MapCheck:
+    """What the lanes of all cameras say about a network. `with_lanes` adds those of a camera.
+
+    Attributes:
+        network: The network, in the twin's map frame.
+        steady_m: What is in use stays while something new differs by less.
+        validations: The last one of each camera.
+        alignments: Lay cameras' tracks on the network, by camera; a camera that fits has none.
+        driven: The network with its lanes where they are driven; None until a camera finds a lane
+            out of place.
+    """
+
+    network: RoadNetwork
+    steady_m: float = 0.0
+    validations: Mapping[str, Validation] = field(default_factory=lambda: MappingProxyType({}))
+    alignments: Mapping[str, Alignment] = field(default_factory=lambda: MappingProxyType({}))
+    driven: DrivenNetwork | None = None
+    _driven_lanes: Mapping[str, DrivenLane] = field(default_factory=lambda: MappingProxyType({}))
+
+    def with_lanes(self, camera: str, lanes: Sequence[Lane]) -> MapCheck:
+        """The same after a camera's lanes have been compared with the network.
+
+        Args:
+            camera: Its name; its earlier lanes no longer count.
+            lanes: In the network's map frame.
+
+        Raises:
+            NoTrafficError: No confirmed lane.
+            RoadNetworkError: The network lies elsewhere.
+        """
+        found = validate(lanes, self.network)
+        validations = {**self.validations, camera: found}
+        alignments, new = dict(self.alignments), found.alignment.applied
+        if _moves_by(new, alignments.get(camera)) >= max(self.steady_m, 1e-9):
+            alignments[camera] = new
+        lanes_now = merged(validations[name].discrepancies.driven for name in sorted(validations))
+        before, driven = self._driven_lanes, self.driven
+        if lanes_now.keys() != before.keys() or any(
+            abs(lane.middle_m - before[name].middle_m) >= self.steady_m
+            for name, lane in lanes_now.items()
+        ):
+            before, driven = lanes_now, as_driven(self.network, lanes_now)
+        return replace(
+            self,
+            validations=validations,
+            alignments=alignments,
+            driven=driven,
+            _driven_lanes=before,
+        )
+
+
+def _moves_by(new: Alignment, old: Alignment | None) -> float:
+    """Metres between where two alignments lay the middle of the lanes."""
+    centre = new.centre_m[None, :]
+    before = centre if old is None else old.points(centre)
+    return float(np.hypot(*(new.points(centre) - before)[0]))
+
+
+_Done = tuple[int, MapCheck]
 
 
 class MapWatch:
-    """Validates lane maps as they come, in a thread of its own: one takes up to 0.3 s.
+    """Checks lane maps as they come, in a thread of its own: one check takes up to 0.3 s.
 
     Args:
         network: The network, in the twin's map frame.
-        period_s: By the stamps of the lane maps, no camera's is looked at more often.
+        period_s: Least time between two checks of a camera's lanes, by the maps' stamps.
 
     Attributes:
-        validations: The last of each camera.
+        check: The state after the checks collected so far.
         alignments: Those in use, by camera; a camera that fits the map has none.
-        driven: The network's lanes where they are driven, as all cameras see them; None until a
-            camera finds one out of place.
     """
 
     def __init__(self, network: RoadNetwork, period_s: float) -> None:
         self._network, self._period_ns = network, round(period_s * 1e9)
         self._worker = ThreadPoolExecutor(1, "map_watch")
         self._waiting: dict[str, str] = {}
-        self._running: tuple[str, Future[_Looked | None]] | None = None
+        self._running: tuple[str, Future[_Done | None]] | None = None
         self._stamp_ns: dict[str, int] = {}
-        self.validations: dict[str, Validation] = {}
+        self.check = MapCheck(network, STEADY_M)
         self.alignments: dict[str, Alignment] = {}
-        self.driven: DrivenNetwork | None = None
-        self._followed: Mapping[str, DrivenLane] = {}
+
+    @property
+    def validations(self) -> Mapping[str, Validation]:
+        """The last validation of each camera."""
+        return self.check.validations
+
+    @property
+    def driven(self) -> DrivenNetwork | None:
+        """The network with its lanes where they are driven; see `MapCheck`."""
+        return self.check.driven
 
     def offer(self, camera: str, text: str) -> None:
-        """A camera's lane map as GeoJSON; of several that wait only the newest is looked at."""
+        """Take a camera's lane map as GeoJSON; of several that wait only the newest is checked."""
         self._waiting[camera] = text
         self._start()
 
@@ -63,49 +138,34 @@ class MapWatch:
             self._start()
             return [(camera, error)]
         if done is not None:
-            self._stamp_ns[camera], self.validations[camera], driven = done
-            self.driven = driven or self.driven
+            self._stamp_ns[camera], self.check = done
         self._start()
-        return [] if done is None else [(camera, done[1])]
+        return [] if done is None else [(camera, self.validations[camera])]
 
     def realigned(self, camera: str) -> Alignment | None:
-        """The alignment to use from now on, None when it stays as it is."""
-        new, old = self.validations[camera].alignment.applied, self.alignments.get(camera)
-        centre = new.centre_m[None, :]
-        before = centre if old is None else old.points(centre)
-        if float(np.hypot(*(new.points(centre) - before)[0])) < STEADY_M:
+        """The alignment to use from now on; None where it stays as it is."""
+        new = self.check.alignments.get(camera)
+        if new is None or new is self.alignments.get(camera):
             return None
         self.alignments[camera] = new
         return new
 
     def close(self) -> None:
-        """Wait for what is being looked at, no longer than that takes."""
+        """Wait for the check that runs; those that wait are dropped."""
         self._worker.shutdown(wait=True, cancel_futures=True)
 
     def _start(self) -> None:
         if self._running is None and self._waiting:
             camera = next(iter(self._waiting))
             text = self._waiting.pop(camera)
-            self._running = (camera, self._worker.submit(self._look, camera, text))
+            self._running = (camera, self._worker.submit(self._checked, camera, text))
 
-    def _look(self, camera: str, text: str) -> _Looked | None:
+    def _checked(self, camera: str, text: str) -> _Done | None:
+        """The map's stamp and the state after it; None where it comes too early or is empty."""
         file = parse_lane_file(text, f"lanes of '{camera}'", self._network.datum)
         stamp_ns, last_ns = file.lane_map.stamp_ns, self._stamp_ns.get(camera)
         if last_ns is not None and 0 <= stamp_ns - last_ns < self._period_ns:
             return None
         if not file.lane_map.confirmed:
             return None
-        found = validate(file.lane_map.lanes, self._network)
-        return stamp_ns, found, self._newly_driven(camera, found)
-
-    def _newly_driven(self, camera: str, found: Validation) -> DrivenNetwork | None:
-        """Where lanes are driven with what one camera has just found; None for as before."""
-        known = self.validations | {camera: found}
-        driven = merged(known[name].discrepancies.driven for name in sorted(known))
-        before = self._followed
-        if driven.keys() == before.keys() and all(
-            abs(lane.middle_m - before[name].middle_m) < STEADY_M for name, lane in driven.items()
-        ):
-            return None
-        self._followed = driven
-        return as_driven(self._network, driven)
+        return stamp_ns, self.check.with_lanes(camera, file.lane_map.lanes)

@@ -31,6 +31,17 @@ class Validation:
     findings: tuple[Finding, ...]
     discrepancies: Discrepancies
 
+    def summary(self) -> list[str]:
+        """What was found, in one or two sentences."""
+        found = [say_alignment(self.alignment)]
+        lanes = sum(finding.kind != "offset" for finding in self.findings)
+        if lanes:
+            found.append(
+                f"the map differs from the lanes seen in {lanes} places: "
+                "geoorbit twin patch corrects it."
+            )
+        return found
+
     def record(self, datum: Datum) -> dict[str, Any]:
         """All of it for a JSON file, places in degrees."""
         a = self.alignment

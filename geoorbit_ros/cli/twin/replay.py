@@ -11,7 +11,7 @@ from geoorbit_ros.cli.inputs import DatumOption, ImageSizeOption
 from geoorbit_ros.cli.twin import map_check as twin_map
 
 if TYPE_CHECKING:
-    from geoorbit_ros.mapcheck.driven_lanes import DrivenNetwork
+    from geoorbit_ros.mapcheck.map_watch import MapCheck
     from geoorbit_ros.roadnet.network import RoadNetwork
     from geoorbit_ros.twin.replay import ReplayScore, TrackStream
 
@@ -82,7 +82,8 @@ def replay(
         network = load_network(net, streams[0].datum)
         said, driven = ["Tracks are where the cameras see them."], None
         if align:
-            streams, driven, said = align_streams(streams, network)
+            streams, check, said = align_streams(streams, network)
+            driven = check.driven
         simulation = SumoSimulation(net, step_s)
         folder.mkdir()
         ways, busiest = VehiclePaths(), BusiestStep()
@@ -125,12 +126,12 @@ def replay(
 
 def align_streams(
     streams: list[TrackStream], network: RoadNetwork
-) -> tuple[list[TrackStream], DrivenNetwork | None, list[str]]:
-    """The streams, laid on the network where they don't fit it, its lanes, and what was found.
+) -> tuple[list[TrackStream], MapCheck, list[str]]:
+    """Learn the lanes from the same tracks and compare them with the network.
 
-    The lanes are those of the network where they are driven, None where that is as it has them.
-
-    The lanes are learnt from the same tracks, as `geoorbit lanes` does it.
+    Returns:
+        The streams, with the alignment that lays them on the network where they don't fit it; what
+        was found; and that in sentences.
     """
     from dataclasses import replace
 
@@ -139,41 +140,27 @@ def align_streams(
     from geoorbit_ros.lanes.estimators.registry import make_estimator
     from geoorbit_ros.lanes.mapping.mapper import LaneMapper
     from geoorbit_ros.lanes.pipeline import map_lanes
-    from geoorbit_ros.mapcheck.driven_lanes import as_driven, merged
-    from geoorbit_ros.mapcheck.validation import in_frame, say_alignment, validate
+    from geoorbit_ros.mapcheck.map_watch import MapCheck
+    from geoorbit_ros.mapcheck.validation import in_frame
 
-    found, said, seen_lanes = [], [], []
+    check, aligned, said = MapCheck(network), [], []
     for stream in streams:
-        frames = list(stream.frames)
-        alignment = None
+        frames, name = list(stream.frames), stream.camera
         try:
             lanes = map_lanes(
                 track(frames, "learning the lanes"), LaneMapper(make_estimator("curvilinear"))
-            )
-            seen = in_frame(lanes.lanes, stream.datum, network.datum)
-            check = validate(seen, network)
+            ).lanes
+            check = check.with_lanes(name, in_frame(lanes, stream.datum, network.datum))
+            said += [f"{name}: {text}" for text in check.validations[name].summary()]
         except NoTrafficError:
-            said.append(f"{stream.camera}: too little traffic to compare the lanes with the map.")
-        else:
-            seen_lanes.append(check.discrepancies.driven)
-            said.append(f"{stream.camera}: {say_alignment(check.alignment)}")
-            lanewise = sum(f.kind != "offset" for f in check.findings)
-            if lanewise:
-                said.append(
-                    f"{stream.camera}: the map differs from the lanes seen in {lanewise} places: "
-                    "geoorbit twin patch corrects it."
-                )
-            if check.alignment.significant:
-                alignment = check.alignment
-        found.append(replace(stream, frames=frames, alignment=alignment))
-    lanes_of = merged(seen_lanes)
-    driven = as_driven(network, lanes_of) if lanes_of else None
-    if driven is not None:
+            said.append(f"{name}: too little traffic to compare the lanes with the map.")
+        aligned.append(replace(stream, frames=frames, alignment=check.alignments.get(name)))
+    if check.driven is not None:
         said.append(
-            f"Vehicles are counted to lanes where those are driven, up to {driven.largest_m:.2f} m "
-            "beside where the map has them."
+            "Vehicles are counted to lanes where those are driven, up to "
+            f"{check.driven.largest_m:.2f} m beside where the map has them."
         )
-    return found, driven, said
+    return aligned, check, said
 
 
 def open_streams(
