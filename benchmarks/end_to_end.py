@@ -28,8 +28,8 @@ from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.cli.camera_run import CameraRun, WatchedMapper, warm_up_detector
 from geoorbit_ros.cli.console import error_console, make_progress
 from geoorbit_ros.core.errors import NoTrafficError
-from geoorbit_ros.detection.registry import make_detector
-from geoorbit_ros.lanes.estimators.registry import make_estimator
+from geoorbit_ros.detection.detector import make_detector
+from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.lanes.geojson import read_lanes
 from geoorbit_ros.lanes.pipeline import map_lanes
 from geoorbit_ros.metrics.lane_score import Tally

@@ -25,8 +25,7 @@ from geoorbit_ros.calibration.box_projector import BoxProjector
 from geoorbit_ros.calibration.control_points import read_control_points
 from geoorbit_ros.calibration.homography import Homography, fit_homography
 from geoorbit_ros.core.tables import Frames
-from geoorbit_ros.lanes.estimators.estimator import LaneEstimator
-from geoorbit_ros.lanes.estimators.registry import make_estimator
+from geoorbit_ros.lanes.estimators.estimator import LaneEstimator, make_estimator
 from geoorbit_ros.lanes.mapping.mapper import LaneMapper
 from geoorbit_ros.lanes.parameters import LaneParameters
 from geoorbit_ros.lanes.pipeline import map_lanes, project_frames

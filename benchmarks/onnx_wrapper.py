@@ -25,7 +25,8 @@ import onnxruntime
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
-from geoorbit_ros.detection.onnx.yolo import OnnxYolo, YoloOptions
+from geoorbit_ros.detection.detector import DetectorSettings
+from geoorbit_ros.detection.onnx.yolo import OnnxYolo
 
 SIDE, CELLS, CLASSES = 640, 8400, 80
 BUDGET_MS = 3.0
@@ -105,7 +106,7 @@ def compare(layout: str, folder: Path) -> None:
     """Report the extra cost of one layout."""
     path = folder / f"{layout}.onnx"
     write_model(path, random_output(layout))
-    detector = OnnxYolo(path, YoloOptions(providers=("CPUExecutionProvider",), threads=1))
+    detector = OnnxYolo(path, DetectorSettings(providers=("CPUExecutionProvider",), threads=1))
     one_thread = onnxruntime.SessionOptions()
     one_thread.intra_op_num_threads = 1
     session = onnxruntime.InferenceSession(

@@ -29,7 +29,7 @@ from geoorbit_ros.calibration.box_projector import BoxProjector
 from geoorbit_ros.calibration.control_points import read_control_points
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.core.tables import DETECTION_DTYPE
-from geoorbit_ros.lanes.estimators.registry import make_estimator
+from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.lanes.mapping.mapper import LaneMapper
 from geoorbit_ros.lanes.pipeline import map_lanes, project_frames
 from geoorbit_ros.mapcheck.driven_lanes import as_driven

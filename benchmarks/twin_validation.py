@@ -30,7 +30,7 @@ from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.core.errors import NoTrafficError
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.polylines import project, sample
-from geoorbit_ros.lanes.estimators.registry import make_estimator
+from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.lanes.mapping.mapper import LaneMapper
 from geoorbit_ros.lanes.pipeline import map_lanes, project_frames
 from geoorbit_ros.mapcheck.patch import patch_network

@@ -34,7 +34,7 @@ from geoorbit_ros.lanes.estimators.curvilinear.evidence import Evidence
 from geoorbit_ros.lanes.estimators.curvilinear.profiles import lateral_profiles
 from geoorbit_ros.lanes.estimators.curvilinear.reference_line import RUN_OUT_M
 from geoorbit_ros.lanes.estimators.curvilinear.trajectory_segments import Passes
-from geoorbit_ros.lanes.estimators.registry import make_estimator
+from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.lanes.mapping.mapper import LaneMapper
 from geoorbit_ros.lanes.parameters import LaneParameters
 from geoorbit_ros.lanes.pipeline import StampedRows, map_lanes, project_frames

@@ -18,11 +18,13 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from geoorbit_ros.core.errors import ParameterError
-from geoorbit_ros.core.plugins import FORM, is_own_class
+from geoorbit_ros.core.plugins import FORM, FROM_FILES, expected, is_name, registered
 from geoorbit_ros.core.resources import share_path
 
 _TYPES: dict[str, type] = {"bool": bool, "int": int, "double": float, "string": str}
 _WORDS = {"bool": "true or false", "int": "a whole number", "double": "a number", "string": "text"}
+
+_JSON_TYPES = {"bool": "boolean", "int": "integer", "double": "number", "string": "string"}
 
 Struct = TypeVar("Struct")
 Value = bool | int | float | str
@@ -42,7 +44,7 @@ class ParameterSpec:
         above: The value must be greater than this.
         choices: The only values accepted.
         not_empty: Whether an empty string is refused.
-        own_class: Whether `FILE.py:CLASS` is accepted besides the choices.
+        plugin: Kind of `core.plugins` whose names are accepted, and files where it takes them.
     """
 
     name: str
@@ -54,20 +56,38 @@ class ParameterSpec:
     above: float | None = None
     choices: tuple[Value, ...] = ()
     not_empty: bool = False
-    own_class: bool = False
+    plugin: str = ""
 
     @property
     def expected(self) -> str:
         """What a value must be, as words."""
+        if self.plugin:
+            return expected(self.plugin)
         if self.choices:
-            names = [str(choice) for choice in self.choices]
-            return " or ".join([*names, FORM] if self.own_class else names)
+            return " or ".join(str(choice) for choice in self.choices)
         words = _WORDS[self.kind]
         if self.bounds:
             words += f" from {self.bounds[0]:g} to {self.bounds[1]:g}"
         if self.above is not None:
             words += f" above {self.above:g}"
         return f"{words}, not empty" if self.not_empty else words
+
+    def json_schema(self) -> dict[str, Any]:
+        """The same rules as JSON schema, for editors."""
+        schema: dict[str, Any] = {"type": _JSON_TYPES[self.kind], "description": self.description}
+        if not (isinstance(self.default, float) and math.isnan(self.default)):
+            schema["default"] = self.default
+        if self.bounds:
+            schema["minimum"], schema["maximum"] = self.bounds
+        if self.above is not None:
+            schema["exclusiveMinimum"] = self.above
+        if self.choices:
+            schema["enum"] = list(self.choices)
+        if self.plugin:
+            names: dict[str, Any] = {"enum": list(registered(self.plugin))}
+            own = {"pattern": r"\.py:[A-Za-z_]\w*$", "description": FORM}
+            schema |= {"anyOf": [names, own]} if self.plugin in FROM_FILES else names
+        return schema
 
     def checked(self, value: object, place: str) -> Value:
         """The value in the parameter's type; a whole number is taken for a `double`.
@@ -89,12 +109,10 @@ class ParameterSpec:
         return (
             (self.bounds is None or self.bounds[0] <= value <= self.bounds[1])
             and (self.above is None or value > self.above)
-            and (not self.choices or value in self.choices or self._is_own(value))
+            and (not self.choices or value in self.choices)
+            and (not self.plugin or is_name(self.plugin, value))
             and not (self.not_empty and value == "")
         )
-
-    def _is_own(self, value: Any) -> bool:
-        return self.own_class and is_own_class(value)
 
 
 @lru_cache
@@ -117,7 +135,7 @@ def _spec(name: str, entry: dict[str, Any], place: str) -> ParameterSpec:
     if rest.get("type") not in _TYPES:
         raise ParameterError(where, f"type {rest.get('type')}", " or ".join(_TYPES))
     unknown = (set(rest) - {"type", "default_value", "description", "read_only"}) | (
-        set(rules) - {"bounds", "gt", "one_of", "not_empty", "own_class"}
+        set(rules) - {"bounds", "gt", "one_of", "not_empty", "plugin"}
     )
     if unknown or "default_value" not in rest or not rest.get("description"):
         found = f"keys {', '.join(sorted({*rest, *rules}))}"
@@ -130,7 +148,7 @@ def _spec(name: str, entry: dict[str, Any], place: str) -> ParameterSpec:
         read_only=bool(rest.get("read_only", False)),
         bounds=tuple(rules["bounds"]) if "bounds" in rules else None,
         above=rules["gt"][0] if "gt" in rules else None,
-        own_class="own_class" in rules,
+        plugin=rules["plugin"][0] if "plugin" in rules else "",
         choices=tuple(rules["one_of"][0]) if "one_of" in rules else (),
         not_empty="not_empty" in rules,
     )

@@ -15,7 +15,7 @@ from typing import Any
 
 from geoorbit_ros.cli.inputs import CameraInput, load_camera
 from geoorbit_ros.lanes.estimators.curvilinear.evidence import MAX_PASSES
-from geoorbit_ros.lanes.estimators.registry import make_estimator
+from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.lanes.mapping.live_mapper import LaneMemory
 from geoorbit_ros.lanes.mapping.mapper import LaneMapper
 from geoorbit_ros.lanes.pipeline import StampedRows, project_frames

@@ -52,13 +52,13 @@ def add(
 
     from geoorbit_ros.cli.camera_run import CameraRun, WatchedMapper, warm_up_detector
     from geoorbit_ros.cli.console import console, say, status
-    from geoorbit_ros.cli.inputs import CameraInput, EstimatorName, load_calibration
+    from geoorbit_ros.cli.inputs import DEFAULT_ESTIMATOR, CameraInput, load_calibration
     from geoorbit_ros.cli.process import DEFAULT_FPS, opened_source, shown_images
     from geoorbit_ros.cli.report import describe_method, save_report
     from geoorbit_ros.cli.tables import print_lanes
-    from geoorbit_ros.detection.registry import make_detector
+    from geoorbit_ros.detection.detector import make_detector
     from geoorbit_ros.fleet.fleet_entry import add_camera, check_new_camera, relative
-    from geoorbit_ros.lanes.estimators.registry import make_estimator
+    from geoorbit_ros.lanes.estimators.estimator import make_estimator
     from geoorbit_ros.lanes.geojson import write_lanes
     from geoorbit_ros.lanes.pipeline import map_lanes
     from geoorbit_ros.report.calibration_image import draw_calibration
@@ -72,7 +72,7 @@ def add(
     homography, origin = load_calibration(calibration, None)
     with status("loading"):
         detector = make_detector(model)
-    estimator, period_s = EstimatorName.CURVILINEAR.value, 5.0
+    estimator, period_s = DEFAULT_ESTIMATOR, 5.0
     mapper = WatchedMapper(make_estimator(estimator), update_period_s=period_s)
     run, recording = CameraRun(homography, detector, mapper), Recording()
     with opened_source(source, None, duration) as images, atomic_output(out) as folder:

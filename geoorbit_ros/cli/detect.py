@@ -64,14 +64,14 @@ def detect(
     """
     from geoorbit_ros.cli.camera_run import warm_up_detector
     from geoorbit_ros.cli.console import console, status
-    from geoorbit_ros.detection.registry import make_detector
+    from geoorbit_ros.detection.detector import DetectorSettings, make_detector
     from geoorbit_ros.storage.mot_text import write_mot
 
     if picture and picture.suffix.lower() not in (".png", ".jpg", ".jpeg"):
         raise ParameterError("option --picture", str(picture), "a name that ends in .png or .jpg")
     names = parse_names(class_names)
     with status("loading"):
-        detector = make_detector(model, min_score=min_score, class_names=names)
+        detector = make_detector(model, DetectorSettings(min_score, class_names=names))
     run = _Run(detector, picture)
     with _opened(source, fps, duration) as images:
         warm_up_detector(detector, images, duration)

@@ -20,8 +20,8 @@ def evaluate(
     Example: [bold]geoorbit evaluate --out study[/bold]
     """
     from geoorbit_ros.cli.console import console, make_table, shown_progress
-    from geoorbit_ros.cli.inputs import EstimatorName
     from geoorbit_ros.core.errors import InputFileError
+    from geoorbit_ros.core.plugins import registered
     from geoorbit_ros.learning import study_report as study_tables
     from geoorbit_ros.learning.evaluation import evaluate as judge
     from geoorbit_ros.learning.study import open_study
@@ -29,7 +29,7 @@ def evaluate(
 
     study = open_study(out, workers=workers)
     folder = out / "evaluation"
-    trained = [name.value for name in EstimatorName if (out / name.value).is_dir()]
+    trained = [name for name in registered("estimator") if (out / name).is_dir()]
     if not trained:
         raise InputFileError(str(out), "no trained model", "geoorbit train first")
     tables = {}

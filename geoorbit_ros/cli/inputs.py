@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from geoorbit_ros.core.errors import InputFileError, ParameterError
+from geoorbit_ros.core.plugins import expected, registered
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -22,12 +22,8 @@ if TYPE_CHECKING:
     from geoorbit_ros.lanes.pipeline import StampedRows
 
 
-class EstimatorName(StrEnum):
-    """Lane estimators by name."""
-
-    CURVILINEAR = "curvilinear"
-    GEOLANE = "geolane"
-
+DEFAULT_ESTIMATOR = "curvilinear"
+"""The estimator for use; all others are for comparison."""
 
 TracksOption = Annotated[
     Path | None,
@@ -52,7 +48,7 @@ EstimatorOption = Annotated[
     typer.Option(
         "--estimator",
         metavar="NAME",
-        help="curvilinear for use, geolane for the paper's baseline, FILE.py:CLASS for your own.",
+        help=f"How lanes are found: {expected('estimator')} (your own class).",
     ),
 ]
 ImageSizeOption = Annotated[
@@ -68,7 +64,11 @@ DatumOption = Annotated[
 ]
 ModelOption = Annotated[
     Path | None,
-    typer.Option("--model", help="YOLO model in an ONNX file. Without it: whatever moves."),
+    typer.Option(
+        "--model",
+        help="YOLO model in an ONNX file, FILE.py:CLASS for your own detector, or a name: "
+        f"{', '.join(registered('detector'))}. Without it: whatever moves.",
+    ),
 ]
 ClassNamesOption = Annotated[
     str,
@@ -185,7 +185,7 @@ def load_calibration(calibration: Path, datum: str | None) -> tuple[Homography, 
 
 def make_mapper(estimator: str, update_period_s: float) -> LaneMapper:
     """A fresh mapper with the default detection parameters."""
-    from geoorbit_ros.lanes.estimators.registry import make_estimator
+    from geoorbit_ros.lanes.estimators.estimator import make_estimator
     from geoorbit_ros.lanes.mapping.mapper import LaneMapper
     from geoorbit_ros.lanes.parameters import LaneParameters
 

@@ -8,11 +8,11 @@ from typing import Annotated
 import typer
 
 from geoorbit_ros.cli.inputs import (
+    DEFAULT_ESTIMATOR,
     BagOption,
     CalibrationOption,
     CameraIdOption,
     DatumOption,
-    EstimatorName,
     EstimatorOption,
     ImageSizeOption,
     TracksOption,
@@ -28,7 +28,7 @@ def lanes(
     tracks: TracksOption = None,
     bag: BagOption = None,
     camera_id: CameraIdOption = None,
-    estimator: EstimatorOption = EstimatorName.CURVILINEAR.value,
+    estimator: EstimatorOption = DEFAULT_ESTIMATOR,
     image_size: ImageSizeOption = "1920x1080",
     datum: DatumOption = None,
     update_period_s: UpdatePeriodOption = 5.0,

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from geoorbit_ros.cli.inputs import (
+    DEFAULT_ESTIMATOR,
     CalibrationOption,
     CameraInput,
     ClassNamesOption,
     DatumOption,
-    EstimatorName,
     EstimatorOption,
     MinScoreOption,
     ModelOption,
@@ -56,7 +56,7 @@ def process(
     camera_id: Annotated[
         str | None, typer.Option("--camera-id", help="Name of the camera in the files.")
     ] = None,
-    estimator: EstimatorOption = EstimatorName.CURVILINEAR.value,
+    estimator: EstimatorOption = DEFAULT_ESTIMATOR,
     datum: DatumOption = None,
     update_period_s: UpdatePeriodOption = 5.0,
 ) -> None:
@@ -72,8 +72,8 @@ def process(
     from geoorbit_ros.cli.console import console, status
     from geoorbit_ros.cli.report import describe_method, save_report
     from geoorbit_ros.cli.tables import print_lanes
-    from geoorbit_ros.detection.registry import make_detector
-    from geoorbit_ros.lanes.estimators.registry import make_estimator
+    from geoorbit_ros.detection.detector import DetectorSettings, make_detector
+    from geoorbit_ros.lanes.estimators.estimator import make_estimator
     from geoorbit_ros.lanes.geojson import write_lanes
     from geoorbit_ros.lanes.pipeline import map_lanes
     from geoorbit_ros.report.recording import Recording
@@ -85,7 +85,9 @@ def process(
     check_new_folder(out)
     homography, origin = load_calibration(calibration, datum)
     with status("loading"):
-        detector = make_detector(model, min_score=min_score, class_names=parse_names(class_names))
+        detector = make_detector(
+            model, DetectorSettings(min_score, class_names=parse_names(class_names))
+        )
     mapper = WatchedMapper(make_estimator(estimator), update_period_s=update_period_s)
     run, recording = CameraRun(homography, detector, mapper), Recording()
     name = camera_id or _name(source)

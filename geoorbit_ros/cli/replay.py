@@ -9,10 +9,10 @@ from typing import Annotated
 import typer
 
 from geoorbit_ros.cli.inputs import (
+    DEFAULT_ESTIMATOR,
     CalibrationOption,
     CameraIdOption,
     DatumOption,
-    EstimatorName,
     EstimatorOption,
     ImageSizeOption,
     UpdatePeriodOption,
@@ -29,7 +29,7 @@ def replay(
         typer.Option(min=0.0, max=1000.0, help="Speed; 0 plays as fast as the nodes can."),
     ] = 10.0,
     camera_id: CameraIdOption = None,
-    estimator: EstimatorOption = EstimatorName.CURVILINEAR.value,
+    estimator: EstimatorOption = DEFAULT_ESTIMATOR,
     image_size: ImageSizeOption = "1920x1080",
     datum: DatumOption = None,
     update_period_s: UpdatePeriodOption = 5.0,

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from geoorbit_ros.cli.inputs import (
+    DEFAULT_ESTIMATOR,
     BagOption,
     CalibrationOption,
     CameraIdOption,
     CameraInput,
     DatumOption,
-    EstimatorName,
     EstimatorOption,
     ImageSizeOption,
     TracksOption,
@@ -41,7 +41,7 @@ def report(
         Path | None, typer.Option("--truth", help="True lanes, to draw and to score against.")
     ] = None,
     camera_id: CameraIdOption = None,
-    estimator: EstimatorOption = EstimatorName.CURVILINEAR.value,
+    estimator: EstimatorOption = DEFAULT_ESTIMATOR,
     image_size: ImageSizeOption = "1920x1080",
     datum: DatumOption = None,
     update_period_s: UpdatePeriodOption = 5.0,

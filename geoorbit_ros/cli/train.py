@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from geoorbit_ros.cli.inputs import EstimatorName
+from geoorbit_ros.core.plugins import check_name, expected, registered
 
 
 class ModeName(StrEnum):
@@ -25,8 +25,10 @@ def train(
     out: Annotated[Path, typer.Option(help="Folder for cameras, models and their history.")],
     rounds: Annotated[int, typer.Option(min=1, max=10000, help="Most rounds.")] = 20,
     estimator: Annotated[
-        list[EstimatorName] | None,
-        typer.Option(metavar="NAME", help="geolane or curvilinear; repeat it. Default: both."),
+        list[str] | None,
+        typer.Option(
+            metavar="NAME", help=f"{' or '.join(registered('estimator'))}; repeat it. Default: all."
+        ),
     ] = None,
     mode: Annotated[
         list[ModeName] | None,
@@ -41,10 +43,11 @@ def train(
         int, typer.Option(min=0, help="Cameras that train in a federated round; 0: all.")
     ] = 0,
     strategy: Annotated[
-        str, typer.Option(metavar="NAME", help="How the server aggregates: fedavg, fedadam, …")
+        str,
+        typer.Option(metavar="NAME", help=f"How the server aggregates: {expected('strategy')}."),
     ] = "fedavg",
     encoding: Annotated[
-        str, typer.Option(metavar="NAME", help="How weights travel: float32, float16, int8, top_k.")
+        str, typer.Option(metavar="NAME", help=f"How weights travel: {expected('encoding')}.")
     ] = "float32",
     workers: Annotated[int, typer.Option(min=1, max=1024, help="Processes.")] = 2,
 ) -> None:
@@ -61,6 +64,11 @@ def train(
     from geoorbit_ros.learning.study import open_study, train_study
     from geoorbit_ros.learning.training import RunSettings
 
+    names = estimator or list(registered("estimator"))
+    for name in names:
+        check_name("estimator", name)
+    check_name("strategy", strategy)
+    check_name("encoding", encoding)
     study = open_study(out, fleet, workers)
     settings = RunSettings(
         rounds=rounds,
@@ -73,11 +81,11 @@ def train(
         f"Fleet {study.fleet.name}",
         "estimator|mode|>seed|>rounds|>L_param|>L_total|>kB|judged",
     )
-    for name in estimator or list(EstimatorName):
+    for name in names:
         with shown_progress() as progress:
             models = train_study(
                 study,
-                name.value,
+                name,
                 [m.value for m in mode or list(ModeName)],
                 range(seeds),
                 settings,
@@ -86,7 +94,7 @@ def train(
         for (kind, seed), model in models.items():
             first, last = model.rounds[0], model.rounds[-1]
             table.add_row(
-                name.value,
+                name,
                 kind,
                 str(seed),
                 str(last.number - 1),

@@ -1,45 +1,170 @@
-"""A class of the user's in a file of its own, named as `FILE.py:CLASS` like a built-in one."""
+"""The registry of what can be exchanged: a class of the package by its name, or one's own file.
+
+A class of the package registers itself: `@register("strategy", "fedavg")` above the class, in a
+file of the folder of its kind, is all that is needed. Command line, node parameters, schemas and
+docs list the names from here. A plug-in is a class in a file of the user's, `FILE.py:CLASS`.
+"""
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import re
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from geoorbit_ros.core.errors import ParameterError
 
 FORM = "FILE.py:CLASS"
-_PATTERN = re.compile(r"(?P<file>.+\.py):(?P<name>[A-Za-z_]\w*)")
+FOLDERS = {
+    "detector": "detection",
+    "encoding": "federated/encodings",
+    "estimator": "lanes/estimators",
+    "strategy": "federated/strategies",
+}
+"""Folder of the package in which the classes of each kind stand."""
+FROM_FILES = ("detector", "estimator", "strategy")
+"""Kinds that take plug-ins. An encoding needs a number that server and clients agree on."""
+
+_PACKAGE = Path(__file__).parents[1]
+_PLUGIN = re.compile(r"(?P<file>.+\.py):(?P<name>[A-Za-z_]\w*)")
+_DECORATOR = re.compile(r'^@register\("(\w+)", "(\w+)"\)$', re.MULTILINE)
+_classes: dict[tuple[str, str], type] = {}
+
+Class = TypeVar("Class", bound=type)
+Made = TypeVar("Made")
 
 
-def is_own_class(text: str) -> bool:
-    """Whether a name has that form."""
-    return _PATTERN.fullmatch(text) is not None
+@runtime_checkable
+class TakesSettings(Protocol):
+    """A class whose objects are made from settings; any other is made without arguments."""
+
+    def from_settings(self, settings: Any) -> Any:
+        """An object with these settings, a class method."""
 
 
-def file_of(text: str) -> str:
+def register(kind: str, name: str) -> Callable[[Class], Class]:
+    """Decorator: users get the class below by this name.
+
+    Write both as plain strings: the list of names is read from the source.
+
+    Raises:
+        ParameterError: No such kind, or a name that another class has.
+    """
+    if kind not in FOLDERS:
+        raise ParameterError("register", f"kind '{kind}'", " or ".join(FOLDERS))
+
+    def keep(made: Class) -> Class:
+        known = _classes.setdefault((kind, name), made)
+        if (known.__module__, known.__qualname__) != (made.__module__, made.__qualname__):
+            raise ParameterError("register", f"{kind} '{name}' twice", "one class for each name")
+        _classes[kind, name] = made
+        return made
+
+    return keep
+
+
+@cache
+def _modules(kind: str) -> dict[str, str]:
+    """Module of each registered name, read from the source: nothing is imported for a list."""
+    found: dict[str, str] = {}
+    for path in sorted((_PACKAGE / FOLDERS[kind]).rglob("*.py")):
+        module = ".".join(path.relative_to(_PACKAGE.parent).with_suffix("").parts)
+        for of_kind, name in _DECORATOR.findall(path.read_text(encoding="utf-8")):
+            if of_kind == kind:
+                found[name] = module
+    return found
+
+
+def registered(kind: str) -> tuple[str, ...]:
+    """Names of all classes of a kind."""
+    added = [name for of_kind, name in _classes if of_kind == kind]
+    return tuple(dict.fromkeys([*_modules(kind), *added]))
+
+
+def expected(kind: str) -> str:
+    """What a user may name, as words."""
+    return " or ".join([*registered(kind), FORM] if kind in FROM_FILES else registered(kind))
+
+
+def is_plugin(text: str) -> bool:
+    """Whether a name has the form `FILE.py:CLASS`."""
+    return _PLUGIN.fullmatch(text) is not None
+
+
+def plugin_file(text: str) -> str:
     """The file in such a name; any other text as it is."""
-    match = _PATTERN.fullmatch(text)
+    match = _PLUGIN.fullmatch(text)
     return match["file"] if match else text
 
 
-def make_own(text: str, place: str, methods: tuple[str, ...]) -> Any:
-    """An object of the class, made without arguments.
+def is_name(kind: str, name: str) -> bool:
+    """Whether a user may name this: a registered class, or a plug-in where the kind takes them."""
+    return name in registered(kind) or (kind in FROM_FILES and is_plugin(name))
 
-    Args:
-        text: `FILE.py:CLASS`.
-        place: For errors.
-        methods: What it must have.
+
+def check_name(kind: str, name: str, place: str | None = None) -> None:
+    """Refuse a name that no class has and that is no plug-in; nothing is imported.
 
     Raises:
-        ParameterError: No such file or class, one that fails when it is loaded or made, or that
-            lacks a method.
+        ParameterError: Such a name.
     """
-    match = _PATTERN.fullmatch(text)
+    if not is_name(kind, name):
+        raise ParameterError(place or f"parameter '{kind}'", repr(name), expected(kind))
+
+
+def make(
+    kind: str,
+    name: str,
+    base: type[Made],
+    settings: object = None,
+    *,
+    place: str | None = None,
+    adapt: Callable[[Any], Any] = lambda made: made,
+) -> Made:
+    """An object of a registered class or of a plug-in.
+
+    Args:
+        kind: Such as `strategy`.
+        name: A registered name, or `FILE.py:CLASS`.
+        base: Protocol or base class that the object must satisfy.
+        settings: For classes that are made from settings (`TakesSettings`).
+        place: For errors; default: the parameter of that kind.
+        adapt: Makes an object of an older protocol one of today's.
+
+    Raises:
+        ParameterError: No such name, file or class, or a class that fails when it is loaded or
+            made, or lacks something.
+    """
+    place = place or f"parameter '{kind}'"
+    check_name(kind, name, place)
+    match = _PLUGIN.fullmatch(name)
     if match is None:
-        raise ParameterError(place, repr(text), FORM)
-    file, name = Path(match["file"]).absolute(), match["name"]
+        made = _made(_registered_class(kind, name), settings)
+    else:
+        place = f"{place}, {Path(match['file']).absolute()}"
+        made = _from_file(Path(match["file"]).absolute(), match["name"], settings, place)
+    made = adapt(made)
+    if not isinstance(made, base):
+        lacking = [part for part in vars(base) if part[0] != "_" and part not in dir(made)]
+        found = f"{type(made).__name__} without {', '.join(lacking) or 'its base class'}"
+        raise ParameterError(place, found, f"all of {base.__name__}")
+    return made
+
+
+def _registered_class(kind: str, name: str) -> type:
+    if (kind, name) not in _classes:
+        importlib.import_module(_modules(kind)[name])
+    return _classes[kind, name]
+
+
+def _made(found: type, settings: object) -> Any:
+    return found.from_settings(settings) if isinstance(found, TakesSettings) else found()
+
+
+def _from_file(file: Path, name: str, settings: object, place: str) -> Any:
     if not file.is_file():
         raise ParameterError(place, f"no file {file}", FORM)
     spec = importlib.util.spec_from_file_location(file.stem, file)
@@ -48,13 +173,7 @@ def make_own(text: str, place: str, methods: tuple[str, ...]) -> Any:
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
-        made = getattr(module, name)()
+        return _made(getattr(module, name), settings)
     except Exception as error:  # whatever the user's file does
         found = f"{type(error).__name__}: {error}"
-        raise ParameterError(
-            f"{place}, {file}", found, f"a class {name} without arguments"
-        ) from error
-    missing = [method for method in methods if not callable(getattr(made, method, None))]
-    if missing:
-        raise ParameterError(f"{place}, {file}", f"no method {', '.join(missing)}", f"in {name}")
-    return made
+        raise ParameterError(place, found, f"a class {name} without arguments") from error

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.core import plugins
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.core.tables import DETECTION_DTYPE
 
@@ -25,6 +29,29 @@ class ModelError(GeoOrbitError):
 
 class ImageError(GeoOrbitError):
     """An image that can't be used."""
+
+
+@dataclass(frozen=True, slots=True)
+class DetectorSettings:
+    """Settings of all detectors; each takes its own.
+
+    Attributes:
+        min_score: Boxes that score less are dropped.
+        max_iou: Of two boxes of one class that overlap more than this, the lesser goes.
+        any_class: Whether boxes of different classes suppress each other too.
+        class_names: Names of the model's classes; empty takes those in the file.
+        providers: onnxruntime's execution providers, best first; empty takes the best there is.
+        threads: Threads within one operator on the CPU; 0 leaves it to onnxruntime.
+        model: File of the model.
+    """
+
+    min_score: float = 0.25
+    max_iou: float = 0.7
+    any_class: bool = False
+    class_names: tuple[str, ...] = ()
+    providers: tuple[str, ...] = ()
+    threads: int = 0
+    model: Path | None = None
 
 
 @runtime_checkable
@@ -54,6 +81,58 @@ class Detector(Protocol):
         Raises:
             ImageError: An image that is none of these.
         """
+
+
+def make_detector(model: Path | None = None, settings: DetectorSettings | None = None) -> Detector:
+    """The detector that a user names.
+
+    Args:
+        model: An `.onnx` file, the name of a registered detector, or `FILE.py:CLASS`; None finds
+            moving vehicles by background subtraction.
+        settings: All other settings.
+
+    Raises:
+        ModelError: A model that can't be used.
+        ParameterError: An execution provider that is not there, or a file without such a class.
+    """
+    name = "motion" if model is None else str(model)
+    if not (plugins.is_plugin(name) or name in plugins.registered("detector")):
+        name = "yolo"
+    settings = replace(settings or DetectorSettings(), model=model)
+    return plugins.make(
+        "detector",
+        name,
+        Detector,  # type: ignore[type-abstract]
+        settings,
+        place="model",
+        adapt=lambda made: _adapted(made, name),
+    )
+
+
+@runtime_checkable
+class _Primes(Protocol):
+    """A plug-in of before 0.1.0, whose `warm_up` is called `prime`."""
+
+    name: str
+
+    def prime(self, images: Iterable[tuple[int, NDArray[np.generic]]]) -> None: ...
+
+    def detect(self, stamp_ns: int, image: NDArray[np.generic]) -> NDArray[np.void]: ...
+
+
+class _Renamed:
+    """Such a plug-in as a `Detector`."""
+
+    def __init__(self, own: _Primes) -> None:
+        self.name, self.warm_up, self.detect = own.name, own.prime, own.detect
+
+
+def _adapted(made: object, model: str) -> object:
+    if isinstance(made, Detector) or not isinstance(made, _Primes):
+        return made
+    text = f"{model}: the method `prime` is now called `warm_up`; the old name goes in 0.2.0"
+    warnings.warn(text, FutureWarning, stacklevel=4)
+    return _Renamed(made)
 
 
 def as_bgr(image: NDArray[np.generic], place: str = "image") -> Image:

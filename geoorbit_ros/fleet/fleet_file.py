@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
@@ -17,20 +17,38 @@ from geoorbit_ros.storage.yaml_file import StrictModel, WrongValue, read_yaml
 FOLDER = "params/fleets"
 MAX_CAMERAS = 1000
 
-Identifier = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
-"""What a ROS namespace can be called."""
-Value = bool | int | float | str
-Overrides = Annotated[
-    dict[str, dict[str, Value]],
-    Field(description="Parameters by node; `./dev run fleet parameters` lists them."),
-]
-Pixels = Annotated[int, Field(ge=16, le=16384)]
-
 CAMERA_NODES = (
     *("bag_player", "camera", "detector", "tracker"),
     *("homography", "lane_geometry", "recorder", "meta_client", "overlay"),
 )
 """Nodes in a camera's namespace, in the order in which data passes them."""
+
+
+def _node_schema(node: str) -> dict[str, Any]:
+    """JSON schema of one node's parameters, for editors."""
+    properties = {spec.name: spec.json_schema() for spec in load_schema(node)}
+    return {"type": "object", "properties": properties, "additionalProperties": False}
+
+
+def _parameters_of(node: str) -> Any:
+    """A field for one node's parameters."""
+    return Field(default={}, json_schema_extra=lambda schema: schema.update(_node_schema(node)))
+
+
+def _add_overrides(schema: dict[str, Any]) -> None:
+    schema.pop("additionalProperties", None)
+    nodes = {node: _node_schema(node) for node in CAMERA_NODES}
+    schema |= {"properties": nodes, "additionalProperties": False}
+
+
+Identifier = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
+"""What a ROS namespace can be called."""
+Value = bool | int | float | str
+Overrides = Annotated[
+    dict[str, dict[str, Value]],
+    Field(description="Parameters by node, see docs/ros.md.", json_schema_extra=_add_overrides),
+]
+Pixels = Annotated[int, Field(ge=16, le=16384)]
 
 
 class Position(StrictModel):
@@ -101,6 +119,8 @@ class Service(StrictModel):
 class FederatedServer(Service):
     """The server that the cameras learn through; each camera then runs a `meta_client`."""
 
+    parameters: dict[str, Value] = _parameters_of("federated_server")
+
     @model_validator(mode="after")
     def _known(self) -> FederatedServer:
         check_parameters(self.parameters, "federated_server")
@@ -115,6 +135,7 @@ class Twin(Service):
     """
 
     network: Path
+    parameters: dict[str, Value] = _parameters_of("sumo_bridge")
 
     @model_validator(mode="after")
     def _known(self) -> Twin:
@@ -134,6 +155,7 @@ class Carla(Service):
     opendrive: Path
     host: str = "localhost"
     port: int = Field(default=2000, ge=1, le=65535)
+    parameters: dict[str, Value] = _parameters_of("carla_bridge")
 
     @model_validator(mode="after")
     def _known(self) -> Carla:

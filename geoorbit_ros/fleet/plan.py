@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from geoorbit_ros.core.errors import GeoOrbitError, InputFileError
-from geoorbit_ros.core.plugins import file_of
+from geoorbit_ros.core.plugins import plugin_file, registered
 from geoorbit_ros.fleet.federation_keys import ROSTER, SERVER_KEY, FederationKeys
 from geoorbit_ros.fleet.fleet_file import Camera, Fleet, Value
 
@@ -156,7 +156,7 @@ def camera_nodes(
         }
     else:
         wiring["overlay"] = {"calibration_file": ground["calibration_file"]}
-        model = str(base / camera.model) if camera.model else ""
+        model = _model(camera, base)
         wiring["tracker"] = dict(size)
         wiring["detector"] = {"model": model}
         wiring["camera"] = {"source": image_source(camera, base)}
@@ -222,13 +222,21 @@ def _check_names(fleet: Fleet) -> None:
             raise FleetPlanError("fleet, camera id", f"'{camera.id}'", "a name that no service has")
 
 
+def _model(camera: Camera, base: Path) -> str:
+    """The detector node's `model`: a registered name as it is, a file below `base`."""
+    if camera.model is None or str(camera.model) in registered("detector"):
+        return str(camera.model or "")
+    return str(base / camera.model)
+
+
 def _check_files(fleet: Fleet, base: Path) -> None:
     missing = []
     for camera in fleet.cameras:
         if not camera.enabled:
             continue
-        model = Path(file_of(str(camera.model))) if camera.model else None
-        files = [camera.calibration, model]
+        files = [camera.calibration]
+        if camera.model is not None and str(camera.model) not in registered("detector"):
+            files.append(Path(plugin_file(str(camera.model))))
         if camera.kind == "bag":
             files.append(Path(camera.source.partition(":")[2]))
         elif camera.kind == "file":

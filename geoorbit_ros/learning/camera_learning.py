@@ -44,7 +44,7 @@ def learn_from_camera(
 
     Args:
         task: The observation and its reference lanes; at least one.
-        estimator: A name of `lanes.estimators.registry`.
+        estimator: A registered name, or `FILE.py:CLASS`.
         tensors: The global model.
         order: What to do, the round, and FedProx's penalty.
         best_theta: theta* of the same observation where it is known; None: search for it, which

@@ -41,7 +41,7 @@ class CameraSession:
     Args:
         client: The federated client.
         signer: Signs theta.
-        estimator: A name of `lanes.estimators.registry`.
+        estimator: A registered name, or `FILE.py:CLASS`.
         observation_s: Length of an observation, by the stamps of the tracks.
         executor: Where training runs; a process, for it takes a core for seconds.
         resend_s: After this time without a newer model an update is sent again, and after twice as

@@ -38,7 +38,7 @@ class LossTable:
 
     Attributes:
         files: Task files by camera id.
-        estimator: A name of `lanes.estimators.registry`.
+        estimator: A registered name, or `FILE.py:CLASS`.
         reference: `supervision` when learning, `truth` when judging.
         workers: Processes.
     """

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.lanes import Lane
-from geoorbit_ros.lanes.estimators.registry import make_estimator
+from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.learning.camera_task import CameraTask, required
 from geoorbit_ros.learning.lane_embedding import shipped_embedding
 from geoorbit_ros.learning.parameter_space import from_unit
@@ -28,7 +28,7 @@ def detect_lanes(task: CameraTask, estimator: str, theta: Sequence[float] | Arra
 
     Args:
         task: The camera.
-        estimator: A name of `lanes.estimators.registry`.
+        estimator: A registered name, or `FILE.py:CLASS`.
         theta: (P,) point of the unit cube.
     """
     parameters = from_unit(theta)
@@ -48,7 +48,7 @@ class Objective:
 
     Attributes:
         task: The camera.
-        estimator: A name of `lanes.estimators.registry`.
+        estimator: A registered name, or `FILE.py:CLASS`.
         reference: `task.supervision` when learning, `task.truth` when judging.
         weights: Lambdas of the total.
         runs: How many times the estimator ran.

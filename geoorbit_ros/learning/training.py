@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.federated.encodings.registry import make_encoding
+from geoorbit_ros.federated.encodings.encoding import make_encoding
 from geoorbit_ros.federated.keys import Member, Roster
 from geoorbit_ros.federated.payloads.global_model import interface_digest
 from geoorbit_ros.federated.rounds.client import FederatedClient, LocalResult, Work
@@ -18,7 +18,7 @@ from geoorbit_ros.federated.rounds.server import FederatedServer
 from geoorbit_ros.federated.rounds.server_config import ServerConfig
 from geoorbit_ros.federated.rounds.traffic import Traffic
 from geoorbit_ros.federated.rounds.verdict import NOBODY_ASKED, Verdict
-from geoorbit_ros.federated.strategies.registry import make_strategy
+from geoorbit_ros.federated.strategies.strategy import make_strategy
 from geoorbit_ros.learning.features import FEATURE_NAMES
 from geoorbit_ros.learning.history import Round
 from geoorbit_ros.learning.local_training import (
@@ -47,8 +47,8 @@ class RunSettings:
         stop_below: The paper's lambda: training ends once the cameras' mean L_total is not above
             it. NaN: never.
         clients_per_round: Cameras that train in a federated round; 0: all.
-        strategy: A name of `federated.strategies.registry`.
-        encoding: A name of `federated.encodings.registry`.
+        strategy: A registered name, or `FILE.py:CLASS`.
+        encoding: A registered name.
         loss_every: Lanes are estimated anew in every so-many-th round only, the first and the last
             included; between them cameras report what they measured last. With `stop_below`, in
             every round.

@@ -14,8 +14,7 @@ from rclpy.publisher import Publisher
 from sensor_msgs.msg import PointCloud2
 
 from geoorbit_ros.conversions import encode_table, pixel_polygon
-from geoorbit_ros.detection.detector import Detector
-from geoorbit_ros.detection.registry import make_detector
+from geoorbit_ros.detection.detector import Detector, DetectorSettings, make_detector
 from geoorbit_ros.detection.road_segments import Contour, RoadSegments
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.nodes.support.image_stream import ImageStream
@@ -92,12 +91,14 @@ class DetectorNode(GeoOrbitNode[DetectorParameters]):
         p = self.p
         return make_detector(
             Path(p.model) if p.model else None,
-            min_score=p.min_score,
-            max_iou=p.max_iou,
-            any_class=p.any_class,
-            class_names=_words(p.class_names),
-            providers=_words(p.providers),
-            threads=p.threads,
+            DetectorSettings(
+                p.min_score,
+                p.max_iou,
+                p.any_class,
+                _words(p.class_names),
+                _words(p.providers),
+                p.threads,
+            ),
         )
 
     def _on_picture(self, stamp_ns: int, frame_id: str, picture: NDArray[np.uint8]) -> None:

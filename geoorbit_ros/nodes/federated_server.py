@@ -20,7 +20,7 @@ from geoorbit_ros.federated.rounds.server import FederatedServer
 from geoorbit_ros.federated.rounds.server_config import ServerConfig
 from geoorbit_ros.federated.rounds.status import server_facts, status_text
 from geoorbit_ros.federated.rounds.verdict import MIN_JUDGES, judge_divisor
-from geoorbit_ros.federated.strategies.registry import StrategySettings, make_strategy
+from geoorbit_ros.federated.strategies.strategy import StrategySettings, make_strategy
 from geoorbit_ros.learning.camera_session import INTERFACE, starting_learner
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.nodes.support.byte_topic import (

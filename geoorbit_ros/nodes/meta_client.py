@@ -13,7 +13,7 @@ from rclpy.clock import Clock, ClockType
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.tables import TRACK_DTYPE
-from geoorbit_ros.federated.encodings.registry import make_encoding
+from geoorbit_ros.federated.encodings.encoding import EncodingSettings, make_encoding
 from geoorbit_ros.federated.keys import Signer, public_key, read_private_key
 from geoorbit_ros.federated.rounds.client import FederatedClient
 from geoorbit_ros.learning.camera_session import INTERFACE, CameraSession
@@ -74,7 +74,7 @@ class MetaClientNode(GeoOrbitNode[MetaClientParameters]):
         self.client = FederatedClient(
             p.camera_id or self.camera_id,
             federation=p.federation,
-            encoding=make_encoding(p.encoding, p.top_k_share, p.top_k_bits),
+            encoding=make_encoding(p.encoding, EncodingSettings(p.top_k_share, p.top_k_bits)),
             signer=signer,
             server_key=public_key(p.server_key),
             interface=INTERFACE,

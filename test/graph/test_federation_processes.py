@@ -17,7 +17,7 @@ import pytest
 from camera_host import lesson
 
 from geoorbit_ros.core.resources import share_path
-from geoorbit_ros.federated.encodings.registry import make_encoding
+from geoorbit_ros.federated.encodings.encoding import make_encoding
 from geoorbit_ros.federated.keys import Roster, Signer
 from geoorbit_ros.federated.rounds.client import FederatedClient
 from geoorbit_ros.federated.rounds.in_process import run_in_process

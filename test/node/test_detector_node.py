@@ -17,9 +17,8 @@ from geoorbit_ros.conversions import encode_compressed_image
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.core.tables import DETECTION_DTYPE
 from geoorbit_ros.detection import road_segments
-from geoorbit_ros.detection.detector import Detector
+from geoorbit_ros.detection.detector import Detector, make_detector
 from geoorbit_ros.detection.onnx.yolo import OnnxYolo
-from geoorbit_ros.detection.registry import make_detector
 from geoorbit_ros.nodes.detector import DetectorNode
 from geoorbit_ros.nodes.support.composition import Composition
 

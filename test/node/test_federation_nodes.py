@@ -28,7 +28,7 @@ from geoorbit_ros.federated.errors import Refusal
 from geoorbit_ros.federated.keys import Signer
 from geoorbit_ros.federated.payloads.lane_parameters import ThetaPayload
 from geoorbit_ros.federated.rounds.client import LocalResult
-from geoorbit_ros.lanes.estimators.registry import make_estimator
+from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.lanes.mapping.mapper import LaneMapper
 from geoorbit_ros.lanes.parameters import LaneParameters
 from geoorbit_ros.learning import camera_session

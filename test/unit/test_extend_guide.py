@@ -8,11 +8,10 @@ import pytest
 
 from geoorbit_ros.cli.main import main
 from geoorbit_ros.core.errors import ParameterError
-from geoorbit_ros.core.plugins import make_own
 from geoorbit_ros.core.tables import DETECTION_DTYPE
-from geoorbit_ros.detection.registry import make_detector
-from geoorbit_ros.federated.strategies.registry import make_strategy
-from geoorbit_ros.lanes.estimators.registry import make_estimator
+from geoorbit_ros.detection.detector import make_detector
+from geoorbit_ros.federated.strategies.strategy import make_strategy
+from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.lanes.geojson import read_lanes
 from geoorbit_ros.parameters import load_schema
 
@@ -73,7 +72,7 @@ def test_parameters_of_nodes_take_a_class_where_a_factory_does() -> None:
     [
         ("", "Nothing", "no attribute 'Nothing'"),
         ("1 / 0", "Mine", "ZeroDivisionError"),
-        ("class Mine:\n    def add(self): ...", "Mine", "no method lanes"),
+        ("class Mine:\n    def add(self): ...", "Mine", "Mine without lanes, "),
         ("class Mine:\n    def __init__(self, x): ...", "Mine", "a class Mine without arguments"),
     ],
 )
@@ -83,7 +82,7 @@ def test_what_is_wrong_with_a_file_is_one_sentence(
     file = tmp_path / "mine.py"
     file.write_text(text)
     with pytest.raises(ParameterError, match=re.escape(said)) as error:
-        make_own(f"{file}:{name}", "here", ("add", "lanes"))
+        make_estimator(f"{file}:{name}")
     assert "\n" not in str(error.value)
     with pytest.raises(ParameterError, match=r"no file .*none\.py"):
         make_estimator(f"{tmp_path}/none.py:Mine")

@@ -137,7 +137,7 @@ def align_streams(
 
     from geoorbit_ros.cli.console import track
     from geoorbit_ros.core.errors import NoTrafficError
-    from geoorbit_ros.lanes.estimators.registry import make_estimator
+    from geoorbit_ros.lanes.estimators.estimator import make_estimator
     from geoorbit_ros.lanes.mapping.mapper import LaneMapper
     from geoorbit_ros.lanes.pipeline import map_lanes
     from geoorbit_ros.mapcheck.map_watch import MapCheck

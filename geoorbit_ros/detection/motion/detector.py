@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Self
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.core.plugins import register
 from geoorbit_ros.core.tables import CAR, MOTORCYCLE, TRUCK
-from geoorbit_ros.detection.detector import Image, as_bgr, detection_rows
+from geoorbit_ros.detection.detector import DetectorSettings, Image, as_bgr, detection_rows
 from geoorbit_ros.detection.motion.background import RoadBackground
 from geoorbit_ros.detection.motion.blobs import Vehicle, busy_rows, find_vehicles
 from geoorbit_ros.detection.motion.road_axes import RoadAxes
@@ -48,6 +50,7 @@ MOTORCYCLE_WIDTH = 0.5
 margin."""
 
 
+@register("detector", "motion")
 class MotionDetector:
     """Finds whatever moves on the road of a camera that stands still.
 
@@ -68,6 +71,11 @@ class MotionDetector:
         self.relearned = 0
         self._size: tuple[int, int] | None = None
         self._forget()
+
+    @classmethod
+    def from_settings(cls, settings: DetectorSettings) -> Self:
+        """A detector that keeps boxes from `min_score` on."""
+        return cls(settings.min_score)
 
     def warm_up(self, images: Iterable[tuple[int, NDArray[np.generic]]]) -> None:
         """See `Detector`: the road, the shadows and the sizes are known from the first image on."""

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.detection.detector import as_bgr, detection_rows
+from geoorbit_ros.core.plugins import register
+from geoorbit_ros.detection.detector import DetectorSettings, ModelError, as_bgr, detection_rows
 from geoorbit_ros.detection.onnx.class_names import vehicle_classes
 from geoorbit_ros.detection.onnx.layouts import Candidates, GridLayout, choose_layout
 from geoorbit_ros.detection.onnx.model_input import GREY, Letterbox, ModelInput, centred, cornered
@@ -53,27 +53,7 @@ MAX_DETECTIONS = 300
 """Per image, as the exporters' own predictors."""
 
 
-@dataclass(frozen=True, slots=True)
-class YoloOptions:
-    """How a model is run.
-
-    Attributes:
-        min_score: Boxes that score less are dropped.
-        max_iou: Of two boxes of one class that overlap more than this, the lesser goes.
-        any_class: Whether boxes of different classes suppress each other too.
-        class_names: Names of the model's classes; empty takes those in the file.
-        providers: onnxruntime's execution providers, best first; empty takes the best there is.
-        threads: Threads within one operator on the CPU; 0 leaves it to onnxruntime.
-    """
-
-    min_score: float = 0.25
-    max_iou: float = 0.7
-    any_class: bool = False
-    class_names: tuple[str, ...] = ()
-    providers: tuple[str, ...] = ()
-    threads: int = 0
-
-
+@register("detector", "yolo")
 class OnnxYolo:
     """A YOLO model that finds vehicles.
 
@@ -82,21 +62,21 @@ class OnnxYolo:
 
     Args:
         path: An `.onnx` file.
-        options: How it is run.
+        settings: How it is run.
 
     Raises:
         ModelError: A file for another task, damaged, of other shapes, or without vehicles.
         ParameterError: An execution provider that is not there.
     """
 
-    def __init__(self, path: Path, options: YoloOptions | None = None) -> None:
-        self.options = options or YoloOptions()
-        self._model = load_session(path, self.options.providers, self.options.threads)
+    def __init__(self, path: Path, settings: DetectorSettings | None = None) -> None:
+        self.settings = settings or DetectorSettings()
+        self._model = load_session(path, self.settings.providers, self.settings.threads)
         place, canvas = self._model.place, self._model.canvas
         # The first run also shows the shapes that a dynamic export leaves open, and warms up.
         grey = np.full((1, 3, canvas[1], canvas[0]), GREY / 255.0, dtype=self._model.dtype)
         outputs = self._model.run(grey.repeat(self._model.batch or 1, axis=0))
-        given: Mapping[int, str] = dict(enumerate(self.options.class_names))
+        given: Mapping[int, str] = dict(enumerate(self.settings.class_names))
         self._layout, self.names, count = choose_layout(
             outputs, canvas, self._model.metadata, given, place
         )
@@ -107,6 +87,13 @@ class OnnxYolo:
         self._input = ModelInput(
             self._model.dtype, self._model.batch, scale=scale, swap=not self._yolox
         )
+
+    @classmethod
+    def from_settings(cls, settings: DetectorSettings) -> Self:
+        """The model that the settings name."""
+        if settings.model is None:
+            raise ModelError("detector 'yolo'", "no file", "an .onnx file as model")
+        return cls(settings.model, settings)
 
     @property
     def name(self) -> str:
@@ -146,7 +133,7 @@ class OnnxYolo:
         return centred(size, canvas, metadata.stride if metadata.dynamic else 0)
 
     def _read(self, box: Letterbox, output: NDArray[np.float32]) -> NDArray[np.void]:
-        options = self.options
+        options = self.settings
         found = self._layout.candidates(output, box.canvas_size, self._wanted, options.min_score)
         finite = np.isfinite(found.boxes).all(axis=1)
         found = Candidates(found.boxes[finite], found.score[finite], found.model_class[finite])

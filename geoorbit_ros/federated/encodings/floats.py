@@ -6,12 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geoorbit_ros.core.plugins import register
 from geoorbit_ros.federated.encodings.encoding import check_finite, check_length
 from geoorbit_ros.federated.payloads.model_layout import Vector
 
 FLOAT16_MAX = 65504.0
 
 
+@register("encoding", "float32")
 @dataclass(frozen=True, slots=True)
 class Float32:
     """Every weight as it is: 4 bytes each."""
@@ -28,6 +30,7 @@ class Float32:
         return check_finite(np.frombuffer(data, "<f4"), "float32")
 
 
+@register("encoding", "float16")
 @dataclass(frozen=True, slots=True)
 class Float16:
     """Every weight rounded to 11 significant bits: 2 bytes each; larger than 65504 is cut."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.core.plugins import register
 from geoorbit_ros.federated.encodings.encoding import check_length
 from geoorbit_ros.federated.errors import PayloadError, Refusal
 from geoorbit_ros.federated.payloads.model_layout import Vector
@@ -48,6 +49,7 @@ def restored(numbers: NDArray[np.int8], scale: np.float32, levels: int) -> Vecto
     return (numbers * (float(scale) / levels)).astype(np.float32)
 
 
+@register("encoding", "int8")
 @dataclass(frozen=True, slots=True)
 class Int8:
     """The largest magnitude as float32, then every weight as its share of it in 1/127."""

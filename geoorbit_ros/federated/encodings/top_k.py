@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.core.plugins import register
+from geoorbit_ros.federated.encodings.encoding import EncodingSettings
 from geoorbit_ros.federated.encodings.int8 import (
     SCALE_BYTES,
     quantised,
@@ -65,6 +68,7 @@ _EIGHT_BITS = 0x80
 _LEVELS = {4: 7, 8: 127}
 
 
+@register("encoding", "top_k")
 @dataclass(frozen=True, slots=True)
 class TopK:
     """The k entries of largest magnitude; all others are zero.
@@ -90,6 +94,11 @@ class TopK:
         if not 0 < self.share <= 1 or self.bits not in _LEVELS:
             found = f"a share of {self.share} and {self.bits} bits"
             raise FederationError("top-k", found, "a share above 0 up to 1, and 4 or 8 bits")
+
+    @classmethod
+    def from_settings(cls, settings: EncodingSettings) -> Self:
+        """The encoding with this share and number of bits."""
+        return cls(settings.top_k_share, settings.top_k_bits)
 
     def encode(self, vector: Vector) -> bytes:
         """See `Encoding.encode`."""

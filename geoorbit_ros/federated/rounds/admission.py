@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from geoorbit_ros.federated.encodings.registry import decode_vector
+from geoorbit_ros.federated.encodings.encoding import decode_vector
 from geoorbit_ros.federated.errors import PayloadError, Refusal
 from geoorbit_ros.federated.keys import Roster, Verifier
 from geoorbit_ros.federated.payloads.client_update import SCHEMA, ClientUpdate

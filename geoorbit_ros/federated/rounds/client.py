@@ -7,9 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from geoorbit_ros.federated.encodings.encoding import Encoding, ErrorFeedback
+from geoorbit_ros.federated.encodings.encoding import Encoding, ErrorFeedback, decode_vector
 from geoorbit_ros.federated.encodings.floats import Float32
-from geoorbit_ros.federated.encodings.registry import decode_vector
 from geoorbit_ros.federated.errors import PayloadError, Refusal
 from geoorbit_ros.federated.keys import Signer, Verifier, client_id
 from geoorbit_ros.federated.payloads.client_update import ClientUpdate

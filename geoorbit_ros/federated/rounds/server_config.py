@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from geoorbit_ros.federated.encodings.encoding import Encoding
+from geoorbit_ros.federated.encodings.encoding import Encoding, EncodingSettings, make_encoding
 from geoorbit_ros.federated.encodings.floats import Float32
-from geoorbit_ros.federated.encodings.registry import make_encoding
 from geoorbit_ros.federated.errors import FederationError
 from geoorbit_ros.federated.privacy.coordinator import MIN_CLIENTS
 from geoorbit_ros.federated.rounds.selection import SELECTIONS
@@ -114,7 +113,7 @@ class ServerConfig:
         """
         if self.encoding == "float32":
             return Float32()
-        return make_encoding(self.encoding, self.top_k_share, self.top_k_bits)
+        return make_encoding(self.encoding, EncodingSettings(self.top_k_share, self.top_k_bits))
 
 
 def check_settings(

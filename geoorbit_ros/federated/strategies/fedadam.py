@@ -7,14 +7,22 @@ m ← β₁m + (1-β₁)Δ, v ← β₂v + (1-β₂)Δ², w ← w + η m / (√v
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.core.plugins import register
 from geoorbit_ros.federated.strategies.collection import Aggregate
-from geoorbit_ros.federated.strategies.strategy import State, Strategy, check_range
+from geoorbit_ros.federated.strategies.strategy import (
+    State,
+    Strategy,
+    StrategySettings,
+    check_range,
+)
 
 
+@register("strategy", "fedadam")
 class FedAdam(Strategy):
     """Learning rate η, decays β₁ and β₂, and τ, which bounds how adaptive it is.
 
@@ -34,6 +42,11 @@ class FedAdam(Strategy):
         self.beta_2 = check_range("beta_2", beta_2, 0.0, 0.99999)
         self.tau = check_range("tau", tau, 1e-9, 1.0)
         self._moments: NDArray[np.float64] | None = None
+
+    @classmethod
+    def from_settings(cls, settings: StrategySettings) -> Self:
+        """See `Strategy.from_settings`."""
+        return cls(settings.server_learning_rate)
 
     def step(self, aggregate: Aggregate) -> Aggregate:
         """See `Strategy.step`."""

@@ -6,8 +6,10 @@ McMahan et al., "Communication-efficient learning of deep networks from decentra
 
 from __future__ import annotations
 
+from geoorbit_ros.core.plugins import register
 from geoorbit_ros.federated.strategies.strategy import Strategy
 
 
+@register("strategy", "fedavg")
 class FedAvg(Strategy):
     """The common starting point of strategies, as it is."""

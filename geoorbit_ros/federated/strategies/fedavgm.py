@@ -7,14 +7,22 @@ classification", 2019 (arXiv:1909.06335), section 4.3: v ← βv + Δ, w ← w +
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.core.plugins import register
 from geoorbit_ros.federated.strategies.collection import Aggregate
-from geoorbit_ros.federated.strategies.strategy import State, Strategy, check_range
+from geoorbit_ros.federated.strategies.strategy import (
+    State,
+    Strategy,
+    StrategySettings,
+    check_range,
+)
 
 
+@register("strategy", "fedavgm")
 class FedAvgM(Strategy):
     """Momentum β and learning rate η.
 
@@ -26,6 +34,11 @@ class FedAvgM(Strategy):
         self.momentum = check_range("momentum", momentum, 0.0, 0.999)
         self.learning_rate = check_range("learning_rate", learning_rate, 1e-6, 100.0)
         self._velocity: Aggregate | None = None
+
+    @classmethod
+    def from_settings(cls, settings: StrategySettings) -> Self:
+        """See `Strategy.from_settings`."""
+        return cls(settings.momentum, settings.server_learning_rate)
 
     def step(self, aggregate: Aggregate) -> Aggregate:
         """See `Strategy.step`."""

@@ -8,11 +8,14 @@ the buffer, not by the weights.
 from __future__ import annotations
 
 import math
+from typing import Self
 
+from geoorbit_ros.core.plugins import register
 from geoorbit_ros.federated.strategies.collection import Aggregate, Collection, RunningMean
-from geoorbit_ros.federated.strategies.strategy import Strategy, check_range
+from geoorbit_ros.federated.strategies.strategy import Strategy, StrategySettings, check_range
 
 
+@register("strategy", "fedbuff")
 class FedBuff(Strategy):
     """Buffer of K updates, learning rate η.
 
@@ -23,6 +26,11 @@ class FedBuff(Strategy):
     def __init__(self, buffer_size: int = 10, learning_rate: float = 1.0) -> None:
         self.buffer_size = int(check_range("buffer_size", buffer_size, 1, 1 << 20))
         self.learning_rate = check_range("learning_rate", learning_rate, 1e-6, 100.0)
+
+    @classmethod
+    def from_settings(cls, settings: StrategySettings) -> Self:
+        """See `Strategy.from_settings`."""
+        return cls(settings.buffer_size, settings.server_learning_rate)
 
     def weight(self, sample_count: int, staleness: int) -> float:
         """See `Strategy.weight`: 1/√(1+staleness), whatever the number of examples."""

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from geoorbit_ros.core.plugins import register
 from geoorbit_ros.federated.strategies.collection import Aggregate
 from geoorbit_ros.federated.strategies.robust import RobustStrategy, Table
 
 
+@register("strategy", "fedmedian")
 class FedMedian(RobustStrategy):
     """Holds while fewer than half of the updates lie."""
 

@@ -6,12 +6,16 @@ minimises its loss plus μ/2 · ‖w - w_global‖².
 
 from __future__ import annotations
 
+from typing import Self
+
 import numpy as np
 
+from geoorbit_ros.core.plugins import register
 from geoorbit_ros.federated.payloads.model_layout import Vector
-from geoorbit_ros.federated.strategies.strategy import Strategy, check_range
+from geoorbit_ros.federated.strategies.strategy import Strategy, StrategySettings, check_range
 
 
+@register("strategy", "fedprox")
 class FedProx(Strategy):
     """Penalty weight μ, which travels to the clients with the model.
 
@@ -21,6 +25,11 @@ class FedProx(Strategy):
 
     def __init__(self, proximal_mu: float = 0.1) -> None:
         self.proximal_mu = check_range("proximal_mu", proximal_mu, 0.0, 1e3)
+
+    @classmethod
+    def from_settings(cls, settings: StrategySettings) -> Self:
+        """See `Strategy.from_settings`."""
+        return cls(settings.proximal_mu)
 
 
 def proximal_gradient(weights: Vector, global_weights: Vector, proximal_mu: float) -> Vector:

@@ -7,15 +7,19 @@ distances to its n - f - 2 nearest others, and the mean is over the n - f best s
 
 from __future__ import annotations
 
+from typing import Self
+
 import numpy as np
 
+from geoorbit_ros.core.plugins import register
 from geoorbit_ros.federated.strategies.collection import Aggregate
 from geoorbit_ros.federated.strategies.robust import RobustStrategy, Table, liars
-from geoorbit_ros.federated.strategies.strategy import check_range
+from geoorbit_ros.federated.strategies.strategy import StrategySettings, check_range
 
 _BLOCK = 512
 
 
+@register("strategy", "multi_krum")
 class MultiKrum(RobustStrategy):
     """Expects this share of liars; its guarantee takes 2f + 3 updates or more.
 
@@ -27,6 +31,11 @@ class MultiKrum(RobustStrategy):
 
     def __init__(self, share: float = 0.3) -> None:
         self.share = check_range("byzantine_share", share, 0.0, 0.49)
+
+    @classmethod
+    def from_settings(cls, settings: StrategySettings) -> Self:
+        """See `Strategy.from_settings`."""
+        return cls(settings.byzantine_share)
 
     def combine(self, table: Table) -> Aggregate:
         """See `RobustStrategy.combine`."""

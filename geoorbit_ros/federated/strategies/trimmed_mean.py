@@ -6,13 +6,17 @@ definition 2.
 
 from __future__ import annotations
 
+from typing import Self
+
 import numpy as np
 
+from geoorbit_ros.core.plugins import register
 from geoorbit_ros.federated.strategies.collection import Aggregate
 from geoorbit_ros.federated.strategies.robust import RobustStrategy, Table, liars
-from geoorbit_ros.federated.strategies.strategy import check_range
+from geoorbit_ros.federated.strategies.strategy import StrategySettings, check_range
 
 
+@register("strategy", "trimmed_mean")
 class TrimmedMean(RobustStrategy):
     """Leaves out this share of the updates at each end; holds while no more than that lie.
 
@@ -22,6 +26,11 @@ class TrimmedMean(RobustStrategy):
 
     def __init__(self, share: float = 0.3) -> None:
         self.share = check_range("byzantine_share", share, 0.0, 0.49)
+
+    @classmethod
+    def from_settings(cls, settings: StrategySettings) -> Self:
+        """See `Strategy.from_settings`."""
+        return cls(settings.byzantine_share)
 
     def combine(self, table: Table) -> Aggregate:
         """See `RobustStrategy.combine`."""

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.core import plugins
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.lanes.mapping.state import State
 from geoorbit_ros.lanes.parameters import LaneParameters
 
 
+@runtime_checkable
 class LaneEstimator(Protocol):
     """Turns ground tracks into lanes, once or continuously.
 
@@ -43,3 +45,12 @@ class LaneEstimator(Protocol):
             KeyError, ValueError, IndexError: Not a state of this estimator.
         """
         ...
+
+
+def make_estimator(name: str) -> LaneEstimator:
+    """A fresh estimator, by its registered name or as `FILE.py:CLASS`.
+
+    Raises:
+        ParameterError: No estimator has this name, or the file has no such class.
+    """
+    return plugins.make("estimator", name, LaneEstimator)  # type: ignore[type-abstract]

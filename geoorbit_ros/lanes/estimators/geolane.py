@@ -21,6 +21,7 @@ from scipy.signal import find_peaks
 from sklearn.cluster import KMeans
 
 from geoorbit_ros.core.lanes import CrossSection, Lane, LaneMap
+from geoorbit_ros.core.plugins import register
 from geoorbit_ros.core.tables import TRACK_DTYPE
 from geoorbit_ros.lanes.mapping.lane_ids import LaneRegistry
 from geoorbit_ros.lanes.mapping.state import State
@@ -38,6 +39,7 @@ MEMORY_S = 60.0
 """The paper's observation period."""
 
 
+@register("estimator", "geolane")
 class GeoLaneEstimator:
     """`LaneEstimator` that runs the paper's method on the last `MEMORY_S` of tracks."""
 

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from geoorbit_ros.detection.detector import make_detector
 
 from geoorbit_ros.core.errors import ParameterError
-from geoorbit_ros.detection.registry import make_detector
 
 PLUGIN = """
 class Own:

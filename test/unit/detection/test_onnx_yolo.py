@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from reference_decoder import Box, decode, iou
 
 from geoorbit_ros.core.errors import ParameterError
-from geoorbit_ros.detection.detector import ModelError
+from geoorbit_ros.detection.detector import DetectorSettings, ModelError
 from geoorbit_ros.detection.onnx.class_names import COCO_NAMES
-from geoorbit_ros.detection.onnx.yolo import OnnxYolo, YoloOptions
+from geoorbit_ros.detection.onnx.yolo import OnnxYolo
 
 CANVAS = (320, 256)
 CELLS = 40 * 32 + 20 * 16 + 10 * 8
@@ -65,11 +65,11 @@ def assert_same(rows: NDArray[np.void], expected: list[Box]) -> None:
         assert one[5] == COCO[two[5]]
 
 
-def given(layout: str) -> tuple[dict[str, object] | None, YoloOptions]:
+def given(layout: str) -> tuple[dict[str, object] | None, DetectorSettings]:
     """Metadata of the file and the user's options: YOLOX writes no metadata."""
     if layout == "grid":
-        return None, YoloOptions(class_names=tuple(NAMES.values()))
-    return metadata(end2end=layout == "nms_free"), YoloOptions()
+        return None, DetectorSettings(class_names=tuple(NAMES.values()))
+    return metadata(end2end=layout == "nms_free"), DetectorSettings()
 
 
 @pytest.mark.parametrize("layout", ["raw", "nms_free", "grid"])
@@ -103,7 +103,7 @@ def test_a_red_vehicle_is_where_it_is(
     """The whole way: letterbox, channel order, sample range, decoding, back to the image."""
     names = {0: "car", 1: "person"}
     said = None if layout == "grid" else metadata(names=names, end2end=layout == "nms_free")
-    options = YoloOptions(class_names=("car", "person") if layout == "grid" else ())
+    options = DetectorSettings(class_names=("car", "person") if layout == "grid" else ())
     yolox = layout == "grid"
     cells = 300 if layout == "nms_free" else CELLS
     model = red_finder(
@@ -167,7 +167,7 @@ def test_a_grid_decoded_in_the_model_is_noticed(tmp_path: Path) -> None:
     done[:, 0], done[:, 1] = (output[:, 0] + column) * stride, (output[:, 1] + row) * stride
     done[:, 2:4] = np.exp(output[:, 2:4]) * stride[:, None]
     model = constant_model(tmp_path / "m.onnx", done, canvas=CANVAS)
-    options = YoloOptions(class_names=tuple(NAMES.values()))
+    options = DetectorSettings(class_names=tuple(NAMES.values()))
     assert_same(OnnxYolo(model, options).detect(0, np.zeros((256, 320, 3), np.uint8)), expected)
 
 
@@ -188,7 +188,7 @@ def test_boxes_of_two_classes_on_one_vehicle_become_one_when_asked(tmp_path: Pat
     model = constant_model(tmp_path / "m.onnx", output, canvas=CANVAS, metadata=metadata())
     image = np.zeros((256, 320, 3), np.uint8)
     assert len(OnnxYolo(model).detect(0, image)) == 2
-    (one,) = OnnxYolo(model, YoloOptions(any_class=True)).detect(0, image)
+    (one,) = OnnxYolo(model, DetectorSettings(any_class=True)).detect(0, image)
     assert one["class_id"] == 2
 
 
@@ -250,4 +250,4 @@ def test_a_provider_that_is_not_there_is_refused(tmp_path: Path) -> None:
         tmp_path / "m.onnx", random_output("raw"), canvas=CANVAS, metadata=metadata()
     )
     with pytest.raises(ParameterError, match=r"NoSuchProvider.*CPUExecutionProvider"):
-        OnnxYolo(path, YoloOptions(providers=("NoSuchProvider",)))
+        OnnxYolo(path, DetectorSettings(providers=("NoSuchProvider",)))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from geoorbit_ros.federated.errors import PayloadError, Refusal
 from geoorbit_ros.federated.rounds.client import TrainingOrder
 from geoorbit_ros.federated.rounds.server_config import ServerConfig
-from geoorbit_ros.federated.strategies.registry import StrategySettings, make_strategy
+from geoorbit_ros.federated.strategies.strategy import StrategySettings, make_strategy
 
 HONEST = tuple(f"honest_{k}" for k in range(7))
 LIARS = tuple(f"liar_{k}" for k in range(3))

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from federation_parts import FEDERATION, Federation, signer_id
 
-from geoorbit_ros.federated.encodings.registry import make_encoding
+from geoorbit_ros.federated.encodings.encoding import EncodingSettings, make_encoding
 from geoorbit_ros.federated.errors import FederationError, PayloadError, Refusal
 from geoorbit_ros.federated.rounds import client as client_module
 from geoorbit_ros.federated.rounds import server as server_module
@@ -115,7 +115,9 @@ def no_power_loss_here() -> Iterator[None]:
 
 
 def federation_in(folder: Path, config: ServerConfig = CONFIG, strategy: Any = FedAdam) -> Network:
-    return Network(Federation(NAMES, config, strategy, make_encoding("top_k", 0.3), folder))
+    return Network(
+        Federation(NAMES, config, strategy, make_encoding("top_k", EncodingSettings(0.3)), folder)
+    )
 
 
 Result = tuple[bytes, str, list[int]]

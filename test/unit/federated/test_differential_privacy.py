@@ -10,7 +10,7 @@ from scipy.stats import kstest
 from geoorbit_ros.federated.errors import FederationError
 from geoorbit_ros.federated.privacy.differential import clipped, epsilon, normal_noise
 from geoorbit_ros.federated.rounds.server_config import ServerConfig
-from geoorbit_ros.federated.strategies.registry import make_strategy
+from geoorbit_ros.federated.strategies.strategy import make_strategy
 
 NAMES = ("north", "south")
 CONFIG = ServerConfig(federation=FEDERATION, rounds=3, clip_norm=0.5, noise_multiplier=2.0)

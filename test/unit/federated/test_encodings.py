@@ -7,10 +7,16 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
-from geoorbit_ros.federated.encodings.encoding import Encoding, ErrorFeedback
+from geoorbit_ros.core.errors import ParameterError
+from geoorbit_ros.federated.encodings.encoding import (
+    Encoding,
+    EncodingSettings,
+    ErrorFeedback,
+    decode_vector,
+    make_encoding,
+)
 from geoorbit_ros.federated.encodings.floats import Float16, Float32
 from geoorbit_ros.federated.encodings.int8 import Int8
-from geoorbit_ros.federated.encodings.registry import ENCODINGS, decode_vector, make_encoding
 from geoorbit_ros.federated.encodings.top_k import TopK, decode_indices, encode_indices
 from geoorbit_ros.federated.errors import FederationError, PayloadError, Refusal
 
@@ -115,7 +121,10 @@ def test_data_that_fits_no_vector_of_two_is_refused(
 
 
 def test_names_give_encodings_and_nothing_else() -> None:
-    assert [make_encoding(name).code for name in ENCODINGS] == [0, 1, 2, 3]
-    for wrong in (("zip",), ("top_k", 0.0), ("top_k", 0.1, 5)):
+    names = ("float32", "float16", "int8", "top_k")
+    assert [make_encoding(name).code for name in names] == [0, 1, 2, 3]
+    with pytest.raises(ParameterError):
+        make_encoding("zip")
+    for wrong in (EncodingSettings(0.0), EncodingSettings(0.1, 5)):
         with pytest.raises(FederationError):
-            make_encoding(*wrong)
+            make_encoding("top_k", wrong)

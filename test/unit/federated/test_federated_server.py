@@ -16,6 +16,7 @@ from federation_parts import (
     update_of,
 )
 
+from geoorbit_ros.core.plugins import registered
 from geoorbit_ros.federated.encodings.int8 import Int8
 from geoorbit_ros.federated.errors import FederationError, PayloadError, Refusal
 from geoorbit_ros.federated.keys import Member, Roster, read_private_key, write_private_key
@@ -25,7 +26,7 @@ from geoorbit_ros.federated.rounds.selection import make_selection
 from geoorbit_ros.federated.rounds.server import FederatedServer
 from geoorbit_ros.federated.rounds.server_config import ServerConfig
 from geoorbit_ros.federated.strategies.fedbuff import FedBuff
-from geoorbit_ros.federated.strategies.registry import STRATEGIES, StrategySettings, make_strategy
+from geoorbit_ros.federated.strategies.strategy import StrategySettings, make_strategy
 
 NAMES = tuple(f"camera_{k}" for k in range(6))
 CONFIG = ServerConfig(federation=FEDERATION, rounds=5, deadline_s=100.0)
@@ -64,7 +65,7 @@ def test_a_federation_learns_what_its_members_know_together() -> None:
             np.testing.assert_array_equal(client.tensors[name], tensor)
 
 
-@pytest.mark.parametrize("name", sorted(STRATEGIES))
+@pytest.mark.parametrize("name", registered("strategy"))
 def test_every_strategy_learns(name: str) -> None:
     settings = StrategySettings(buffer_size=3, server_learning_rate=0.3, momentum=0.5)
     federation = Federation(

@@ -11,7 +11,7 @@ from federation_parts import Camera, first_tensors, roster_of, update_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from geoorbit_ros.federated.encodings.registry import make_encoding
+from geoorbit_ros.federated.encodings.encoding import EncodingSettings, make_encoding
 from geoorbit_ros.federated.errors import PayloadError, Refusal
 from geoorbit_ros.federated.keys import Member, Roster, Signer, Verifier
 from geoorbit_ros.federated.payloads.lane_parameters import ThetaInbox, ThetaPayload
@@ -36,7 +36,7 @@ CONFIG = ServerConfig(encoding="top_k", rounds=9, judges=1)
 SERVER = FederatedServer(CONFIG, first_tensors(), Roster(Member(n, None) for n in NAMES))
 WHOLE = SERVER.start(0.0)
 CLIENTS = [
-    FederatedClient(n, Camera.drawn(k).train, encoding=make_encoding(e, 0.3))
+    FederatedClient(n, Camera.drawn(k).train, encoding=make_encoding(e, EncodingSettings(0.3)))
     for k, (n, e) in enumerate(zip(NAMES, ("top_k", "int8", "float32"), strict=True))
 ]
 UPDATES = [update for client in CLIENTS if (update := client.answer(WHOLE))]

@@ -27,7 +27,7 @@ from geoorbit_ros.federated.privacy.random_stream import Quantiser, pairwise_mas
 from geoorbit_ros.federated.rounds.client import FederatedClient
 from geoorbit_ros.federated.rounds.in_process import run_in_process
 from geoorbit_ros.federated.rounds.server_config import ServerConfig
-from geoorbit_ros.federated.strategies.registry import make_strategy
+from geoorbit_ros.federated.strategies.strategy import make_strategy
 
 NAMES = tuple(f"camera_{k}" for k in range(6))
 SIZE, LIMIT = 40, 4.0

@@ -8,7 +8,7 @@ from federation_parts import FEDERATION, roster_of, signer_of
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.resources import share_path
-from geoorbit_ros.federated.encodings.registry import make_encoding
+from geoorbit_ros.federated.encodings.encoding import EncodingSettings, make_encoding
 from geoorbit_ros.federated.payloads.model_layout import Tensors
 from geoorbit_ros.federated.rounds.client import FederatedClient, LocalResult, TrainingOrder
 from geoorbit_ros.federated.rounds.in_process import run_in_process
@@ -80,7 +80,7 @@ def trained(
         FederatedClient(
             name,
             federation=FEDERATION,
-            encoding=make_encoding(encoding, update_share),
+            encoding=make_encoding(encoding, EncodingSettings(update_share)),
             signer=signer_of(name),
             server_key=signer_of("server").public,
         )

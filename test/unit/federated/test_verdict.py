@@ -12,7 +12,7 @@ from federation_parts import FEDERATION, Camera, Federation, signer_id, update_o
 from hypothesis import given
 from hypothesis import strategies as st
 
-from geoorbit_ros.federated.encodings.registry import make_encoding
+from geoorbit_ros.federated.encodings.encoding import make_encoding
 from geoorbit_ros.federated.errors import FederationError, PayloadError, Refusal
 from geoorbit_ros.federated.payloads.global_model import GlobalModel
 from geoorbit_ros.federated.rounds.client import FederatedClient, LocalResult, Work

@@ -11,7 +11,7 @@ from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.core.errors import InputFileError
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.core.tables import TRACK_DTYPE
-from geoorbit_ros.lanes.estimators.registry import make_estimator
+from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.lanes.mapping.live_mapper import LaneMemory, LiveMapper
 from geoorbit_ros.lanes.parameters import LaneParameters
 

@@ -11,7 +11,7 @@ from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.core.tables import UNKNOWN_CLASS, Frames
 from geoorbit_ros.lanes.estimators.curvilinear.estimator import CurvilinearEstimator
 from geoorbit_ros.lanes.estimators.curvilinear.evidence import Evidence
-from geoorbit_ros.lanes.estimators.registry import make_estimator
+from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.lanes.mapping.mapper import LaneMapper
 from geoorbit_ros.lanes.parameters import LaneParameters
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.lanes import LaneMap
+from geoorbit_ros.core.plugins import register
 from geoorbit_ros.lanes.confidence import BEGIN, LaneEvidence, judge
 from geoorbit_ros.lanes.estimators.curvilinear.candidates import find_candidates, find_ridges
 from geoorbit_ros.lanes.estimators.curvilinear.corridors import Corridor, find_corridors
@@ -55,6 +56,7 @@ class _Derived:
         return LaneCounter(self.lane_map.lanes)
 
 
+@register("estimator", "curvilinear")
 class CurvilinearEstimator:
     """`LaneEstimator` for any heading, bends, ramps, both directions and sparse lanes."""
 
