@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from geoorbit_ros.detection.detector import make_detector
 
 from geoorbit_ros.core.errors import ParameterError
+from geoorbit_ros.detection.detector import make_detector
 
 PLUGIN = """
 class Own:
@@ -45,5 +45,5 @@ def test_the_old_name_works_with_a_warning(tmp_path: Path) -> None:
 
 
 def test_a_plugin_with_neither_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ParameterError, match="no method warm_up"):
+    with pytest.raises(ParameterError, match="Own without warm_up"):
         make_detector(plugin(tmp_path, "learn"))
