@@ -26,12 +26,15 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 MEAN, RATE, VARIANCE, COVARIANCE, RATE_VARIANCE = range(5)
+"""Indices of a state's first axis."""
 MAX_GROWTH = 2.0
 """Relative growth, 1/s, beyond which it is an error: that of a vehicle 15 m away at 30 m/s."""
 TAIL = 6.0
-"""Degrees of freedom of the errors of boxes; fewer are heavier tails."""
+"""Degrees of freedom of Student's t distribution of box errors. Chosen: larger lets a wild box end
+a track, smaller accepts neighbours' boxes."""
 MAX_APPROACH = 0.6
-"""Share of the time to contact up to which a prediction is stretched; beyond, it is a guess."""
+"""Share of the time to contact up to which a prediction is stretched. Chosen: beyond, an error of
+the growth moves the prediction far off."""
 
 
 @dataclass(frozen=True, slots=True)

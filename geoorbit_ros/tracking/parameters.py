@@ -19,6 +19,7 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "image_height": (0, 32768),
     "first_id": (1, 2**31 - 1),
 }
+"""Smallest and largest value of each parameter: what has a meaning; times up to a minute."""
 
 
 @dataclass(frozen=True, slots=True)

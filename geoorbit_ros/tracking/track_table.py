@@ -1,4 +1,4 @@
-"""All tracks of one camera as arrays, one column per track."""
+"""Detections of one frame, and all tracks of one camera, as arrays with a column for each."""
 
 from __future__ import annotations
 
@@ -7,9 +7,76 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.tracking.frame_detections import FrameDetections
+from geoorbit_ros.tracking.motion_model import MotionNoise, measurement_variance, measurements
+from geoorbit_ros.tracking.parameters import TrackerParameters
 
 Array = NDArray[np.float64]
+
+
+BORDER_RATIO = 0.01
+"""Boxes that end within 1 % of the image from its border are cut by it, as in `box_projector`.
+Chosen: detectors end cut boxes some pixels early; larger marks whole boxes as cut."""
+CUT_FACTOR = 10.0
+"""Variance of a cut box relative to a whole one: its centre and size aren't the vehicle's. Chosen:
+smaller lets a vehicle that enters seem to come nearer."""
+MAX_DETECTIONS = 1000
+"""More in a frame are no traffic; the most confident are taken. Bounds memory."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameDetections:
+    """M detections.
+
+    Attributes:
+        box: (4, M) x, y, width, height in pixels.
+        measured: (4, M) see `motion_model.measurements`.
+        variance: (4, M) of `measured`.
+        score: (M,) confidence.
+        strong: (M,) whether it is confident.
+        class_id: (M,) COCO class.
+        cut: (M,) whether the image border cuts the box; False where the image's size is unknown.
+        unusable: Detections left out because a number isn't finite or the box has no area.
+    """
+
+    box: Array
+    measured: Array
+    variance: Array
+    score: Array
+    strong: NDArray[np.bool_]
+    class_id: NDArray[np.int64]
+    cut: NDArray[np.bool_]
+    unusable: int
+
+    def __len__(self) -> int:
+        return len(self.score)
+
+
+def prepare(
+    rows: NDArray[np.void], parameters: TrackerParameters, noise: MotionNoise
+) -> FrameDetections:
+    """Detections that can be used and are not too weak, the same whatever order they came in."""
+    names = ("x", "y", "width", "height", "score")
+    value = np.array([rows[name] for name in names], dtype=np.float64).reshape(5, -1)
+    usable = np.isfinite(value).all(axis=0) & (value[2] > 0.0) & (value[3] > 0.0)
+    keep = np.flatnonzero(usable & (value[4] >= parameters.low_score))
+    value, kind = value[:, keep], rows["class_id"][keep].astype(np.int64)
+    order = np.lexsort((kind, value[3], value[2], value[1], value[0], -value[4]))[:MAX_DETECTIONS]
+    value, kind = value[:, order], kind[order]
+    box = value[:4]
+    variance = measurement_variance(box, noise)
+    cut = _cut(box, parameters.image_width, parameters.image_height)
+    variance[:, cut] *= CUT_FACTOR
+    unusable = len(rows) - int(np.count_nonzero(usable))
+    score, strong = value[4], value[4] >= parameters.high_score
+    return FrameDetections(box, measurements(box), variance, score, strong, kind, cut, unusable)
+
+
+def _cut(box: Array, image_width: int, image_height: int) -> NDArray[np.bool_]:
+    if not image_width:
+        return np.zeros(box.shape[1], dtype=bool)
+    size = np.array([[image_width], [image_height]])
+    border, half = BORDER_RATIO * size, 0.5 * box[2:]
+    return np.asarray(((box[:2] - half < border) | (box[:2] + half > size - border)).any(axis=0))
 
 
 def _integers() -> NDArray[np.int64]:
@@ -21,7 +88,7 @@ class TrackTable:
     """N tracks in the order of their birth.
 
     Attributes:
-        state: (5, 4, N) motion at the last observation, see `motion`.
+        state: (5, 4, N) motion at the last observation, see `motion_model`.
         box: (4, N) last observed box: x, y, width, height in pixels.
         born_ns: (N,) time of the first observation.
         stamp_ns: (N,) time of the last observation.
@@ -34,8 +101,8 @@ class TrackTable:
         score: (N,) confidence of the last observation.
         cut: (N,) whether the image border cut the last box.
         entering: (N,) whether the border cut all boxes so far.
-        foreseen: (2, N) frames since the last observation in which it was predicted in the open and
-            hidden.
+        predicted_frames: (2, N) frames since the last observation in which it was predicted in the
+            open and hidden.
     """
 
     state: Array = field(default_factory=lambda: np.empty((5, 4, 0)))
@@ -51,7 +118,7 @@ class TrackTable:
     score: Array = field(default_factory=lambda: np.empty(0))
     cut: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, np.bool_))
     entering: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, np.bool_))
-    foreseen: Array = field(default_factory=lambda: np.empty((2, 0)))
+    predicted_frames: Array = field(default_factory=lambda: np.empty((2, 0)))
 
     def __len__(self) -> int:
         return len(self.stamp_ns)
@@ -85,7 +152,7 @@ class TrackTable:
             score=score,
             cut=found.cut[which],
             entering=found.cut[which],
-            foreseen=np.zeros((2, len(which))),
+            predicted_frames=np.zeros((2, len(which))),
         )
 
     def observe(
@@ -103,7 +170,7 @@ class TrackTable:
         self.sure_ns[which[found.strong[partner]]] = stamp_ns
         self.hits[which] += 1
         self.missed[which] = 0
-        self.foreseen[:, which] = 0.0
+        self.predicted_frames[:, which] = 0.0
         score = found.score[partner]
         self.score[which] = score
         self.cut[which] = found.cut[partner]

@@ -1,4 +1,4 @@
-"""What a tracker learns: how vehicles move at each place, and where predictions were right."""
+"""What a tracker learns: how vehicles move at each place, and where predictions are right."""
 
 from __future__ import annotations
 
@@ -10,17 +10,20 @@ from geoorbit_ros.tracking.motion_model import MEAN, RATE, MotionNoise
 Array = NDArray[np.float64]
 
 CAPACITY = 2000
-"""Samples that are kept, the latest ones: half a minute of dense traffic, minutes of sparse."""
+"""Samples that are kept, the latest ones: half a minute of dense traffic, minutes of sparse.
+Chosen: more take time, fewer forget quiet lanes."""
 REACH = 2.0
-"""1-sigma of the neighbourhood, sizes of the new box: about a lane."""
+"""1-sigma of the neighbourhood in sizes of the new box: about a lane. Chosen: larger mixes lanes,
+smaller finds no samples."""
 WIDE_WEIGHT = 1.0
-"""Samples that the wide prior counts for: some vehicle may do what none did before."""
+"""Samples that the wide prior counts for, because a vehicle may do what none did before. Chosen:
+larger learns later, smaller loses such a vehicle."""
 
 
 class Flow:
     """Samples of the motion of confirmed tracks.
 
-    Arrays are (4, N): x, y in pixels and the logarithms of width and height, as in `motion`.
+    Arrays are (4, N): x, y in pixels and the logarithms of width and height, as in `motion_model`.
     """
 
     def __init__(self) -> None:
@@ -55,34 +58,38 @@ class Flow:
 
 
 HIDDEN_SHARE = 0.5
-"""A place covered by one detection to this share is hidden; others are in the open."""
-FAITH = 5.0
-"""Right predictions that a tracker takes for granted at its start."""
+"""A place that one detection covers to this share is hidden; others are in the open. Chosen: most
+of the vehicle is then out of sight."""
+PRIOR_RIGHT = 5.0
+"""Right predictions that a tracker is credited with at its start. Chosen: more show wrong
+predictions for longer, fewer show none after one error."""
 LEAST_SHARE = 0.75
-"""Share of predictions that must have been right for the next ones to be shown."""
+"""Share of predictions that must have been right for the next ones to be shown (docs/tracking.md).
+Chosen: larger hides useful ones, smaller shows wrong ones."""
 MEMORY = 2000.0
-"""Predictions after which what was before counts 1/e: some minutes of usual traffic."""
+"""Predictions after which what was before counts 1/e: some minutes of usual traffic. Chosen: more
+adapt to another detector later, fewer are noisier."""
 
 
-class Foresight:
+class PredictionGate:
     """Counts of predictions that proved right and wrong, in the open and hidden."""
 
     def __init__(self) -> None:
-        self._right, self._wrong = np.full(2, FAITH), np.zeros(2)
+        self._right, self._wrong = np.full(2, PRIOR_RIGHT), np.zeros(2)
 
     def trusted(self, hidden: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """(N,) whether predictions at places that are `hidden` (N,) or not may be shown."""
         share = self._right / (self._right + self._wrong)
         return np.asarray((share >= LEAST_SHARE)[hidden.astype(np.intp)])
 
-    def learn(self, foreseen: Array, right: bool) -> None:
+    def learn(self, predicted_frames: Array, right: bool) -> None:
         """Take predictions that proved right or wrong.
 
         Args:
-            foreseen: (2, N) how often tracks were predicted in the open and hidden.
+            predicted_frames: (2, N) how often tracks were predicted in the open and hidden.
             right: Whether they came back, or ended.
         """
-        count = foreseen.sum(axis=1)
+        count = predicted_frames.sum(axis=1)
         fade = np.exp(-count.sum() / MEMORY)
         self._right, self._wrong = fade * self._right, fade * self._wrong
         if right:

@@ -362,9 +362,9 @@ def test_what_leaves_the_image_ends_and_cut_boxes_are_flagged() -> None:
 def test_weak_detections_continue_a_track_and_begin_none() -> None:
     strong = Vehicle(3.0, 60.0, -10.0)
     weak = Vehicle(3.0, 60.0, -10.0, score=0.2)
-    ghost = Vehicle(-8.0, 50.0, 0.0, score=0.2)
+    false_box = Vehicle(-8.0, 50.0, 0.0, score=0.2)
     frames = [
-        (s, detections([strong if seconds(s) < 1.0 else weak, ghost], seconds(s)))
+        (s, detections([strong if seconds(s) < 1.0 else weak, false_box], seconds(s)))
         for s in stamps(60)
     ]
     output = track_all(frames)
@@ -373,11 +373,11 @@ def test_weak_detections_continue_a_track_and_begin_none() -> None:
     assert track_all(frames, low_score=0.3)[-1].size == 0
 
 
-def test_a_ghost_that_a_vehicle_drove_over_is_not_followed_for_ever() -> None:
-    vehicle, ghost = Vehicle(3.0, 60.0, -3.0), Vehicle(3.0, 54.0, 0.0, score=0.4)
+def test_a_false_box_that_a_vehicle_drove_over_is_not_followed_for_ever() -> None:
+    vehicle, false_box = Vehicle(3.0, 60.0, -3.0), Vehicle(3.0, 54.0, 0.0, score=0.4)
     frames = []
     for s in stamps(300):
-        here = [ghost] if seconds(s) > 2.0 else [vehicle]
+        here = [false_box] if seconds(s) > 2.0 else [vehicle]
         frames.append((s, detections(here, seconds(s))))
     output = track_all(frames)
     assert len(output[60]) == 1
