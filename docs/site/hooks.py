@@ -25,6 +25,7 @@ OUTSIDE = {
 
 LINK = re.compile(r"(\]\(|(?:src|srcset|href)=\")(?!https?:|mailto:|#)([^)\s\"#]+)")
 DIAGRAM = re.compile(r"^```mermaid\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+LIST = re.compile(r"^  (\w+) --> (.+)$", re.MULTILINE)
 IMAGES = f"{REPOSITORY}/raw/main/docs/"
 """Where the README shows its images from, so that a package index shows them, too."""
 
@@ -96,5 +97,20 @@ def moved_links(text: str, source: Path, page: str) -> str:
 
 def drawn(diagram: str) -> str:
     """Draw a Mermaid diagram as SVG, so that no page loads a script for it."""
-    svg = mermaidx.render(diagram, theme="neutral").svg()
+    svg = mermaidx.render(reduced(diagram), theme="neutral").svg()
     return f'<div class="diagram">{"".join(svg.splitlines())}</div>'
+
+
+def reduced(diagram: str) -> str:
+    """Leave out arrows `a --> c` where `a --> b` and `b --> c` say it, for lists `a --> b & c`."""
+    edges = {a: set(targets.split(" & ")) for a, targets in LIST.findall(diagram)}
+    if not any(len(targets) > 2 for targets in edges.values()):
+        return diagram
+
+    def below(room: str) -> set[str]:
+        direct = edges.get(room, set())
+        return direct.union(*(below(target) for target in direct))
+
+    kept = {a: targets - set().union(*map(below, targets)) for a, targets in edges.items()}
+    lines = (f"  {a} --> {' & '.join(sorted(targets))}" for a, targets in kept.items())
+    return "\n".join(["graph TD", *lines])
