@@ -308,7 +308,7 @@ def main() -> int:
     """Draw all pictures."""
     save(draw_hero(look_through("curve_250m")), "lanes-overview.png")
     ramp, city = look_through("off_ramp_diverge"), look_through("urban_turn")
-    save(draw_passes(ramp), "lanes-1-passes.png")
+    save(draw_passes(ramp), "lanes-1-segments.png")
     save(draw_corridors([ramp, city]), "lanes-2-corridors.png")
     save(draw_density(ramp), "lanes-3-density.png")
     save(draw_lanes(ramp), "lanes-4-lanes.png")
