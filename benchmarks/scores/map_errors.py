@@ -21,7 +21,7 @@ def plant(error: Error, network: RoadNetwork, lane_id: str, out: Path, folder: P
 
     `missing` takes the lane away, `extra` puts one beside it (to the right of an edge's rightmost
     lane, to the left of any other: of the leftmost, or it lies on another lane), `width` makes it
-    `WIDTH_M` narrower; `shifted` moves its edge by `SHIFT_M` to the left, `direction` turns its
+    `WIDTH_M` narrower; `shifted` moves its edge by `SHIFT_M` to the left, `direction` reverses its
     edge, `offset` moves the whole map.
 
     Args:
@@ -63,6 +63,6 @@ def plant(error: Error, network: RoadNetwork, lane_id: str, out: Path, folder: P
         for other in edge.lanes:
             other.shape_m = offset_line(other.shape_m, SHIFT_M)
     else:
-        edge.turn()
+        edge.reverse()
     plain.write(out)
     return named

@@ -1,1 +1,1 @@
-"""Where a map differs from the lanes that are driven, and the corrected map."""
+"""Compares a map with the lanes that are driven, and corrects it."""

@@ -1,20 +1,19 @@
-"""How a camera's map frame lies on a network: a rigid movement, found robustly.
+"""Finds the rigid movement that lays a camera's map frame on a network.
 
-A camera's control points and a map each have errors of a metre or more as a whole, which say
-nothing about single lanes. They are one rotation and one translation, which lays the detected
-lanes on the network's: iteratively reweighted least squares with Tukey's biweight (Huber 1981,
-"Robust Statistics") on the distances across the lanes, from several starts, because lanes repeat
-every 3.5 m.
+A camera's control points displace all of its lanes alike, and a map can be displaced as a whole,
+each by a metre or more. One rotation and one translation lay the detected lanes on the network's:
+iteratively reweighted least squares with Tukey's biweight (Huber 1981, "Robust Statistics") on the
+distances across the lanes, from several starts, because lanes repeat every 3.5 m.
 
-A turn is part of it only where it is significant, as a patch carries it on to roads that nobody has
-seen: beyond three times its error (backward elimination, Draper and Smith 1998, "Applied Regression
-Analysis", ch. 15), and by more at the ends of the lanes seen than control points err anyhow. Else
-the shift is fitted without it.
+The rotation is left out unless it is significant, because a patch applies it to roads beyond the
+view, too: it must exceed three times its error (backward elimination, Draper and Smith 1998,
+"Applied Regression Analysis", ch. 15), and move the ends of the lanes seen by more than the usual
+error of control points.
 
-Which of the results is right, or none, is decided by counting what would be wrong with the map
-(Rissanen 1978, minimum description length): a movement counts as one error (as two beyond half a
-lane), and so does every edge with a lane that lies beside its place, and every lane that the map
-lacks. So a map in which one of two roads is displaced is not aligned to that road.
+Of the results, and of no movement at all, the one is taken that leaves the fewest errors in the map
+(Rissanen 1978, minimum description length). A movement counts as one error (as two beyond half a
+lane), and so does every edge with a lane out of its place, and every lane that the map lacks. So a
+map in which one of two roads is displaced is not aligned to that road.
 """
 
 from __future__ import annotations
@@ -31,30 +30,48 @@ from geoorbit_ros.mapcheck.offsets import LaneSamples, Offsets, lanes_near, offs
 from geoorbit_ros.roadnet.network import RoadNetwork
 
 SEARCH_M, SEARCH_STEP_M = 4.0, 0.25
-"""Maps made from aerial pictures lie within 4 m; farther, lanes can't be told apart."""
+"""Shifts to start from: up to so far, on a grid of this step. Chosen: beyond a lane's width a shift
+can't be told from the next lane; a finer grid costs time."""
 SHIFT_PRIOR_M, TURN_PRIOR_RAD = 2.0, np.radians(0.5)
+"""1-sigma of the shift and the rotation before any lane is compared. Chosen: larger lets few lanes
+move the map far, smaller holds back real displacements."""
 SCALE_M = 0.6
-"""Residuals beyond this have no weight, so that a road displaced by a metre pulls at nothing."""
+"""Residuals beyond this have no weight (Tukey's biweight), so that a road displaced by a metre does
+not count (ADR 0029). Chosen: larger lets wrong lanes pull, smaller loses curved ones."""
 BLOCK_M = 50.0
-"""Errors of a detected lane are alike over this length."""
+"""Over this length the errors of a detected lane are the same: one observation. Chosen: larger
+makes the alignment's error larger, smaller makes chance significant."""
 LANE_SIGMA_M = 0.15
-"""Of a lane that does not know its error."""
+"""1-sigma of a lane without an error of its own. Chosen: larger gives such lanes less weight than
+the others, smaller more."""
 SHAPE_M = 0.1
-"""Errors in the shapes of lanes and map, which no number of vehicles removes."""
+"""1-sigma of the shapes of lanes and map, which more vehicles do not reduce. Chosen: larger hides
+small displacements, smaller makes those of straight pieces significant."""
 OBSERVABLE_M = 0.5
-"""A direction that is known less well is not observed."""
+"""A direction whose 1-sigma is larger is reported as not observed. Chosen: larger moves the map
+along lanes that are almost straight, smaller leaves a real shift out."""
 SIGNIFICANT_M, SIGNIFICANT_SIGMAS = 0.3, 3.0
-"""A shift, and what a turn does at the ends of the lanes seen: what is less is left to the errors
-of calibration, that is beyond the lanes' own, or to chance."""
+"""Least shift, and least movement of the ends of the lanes by the rotation, that counts; and how
+many times its own error. Control points err by 0.3 m: one scene's camera, off by 0.23 degrees with
+an error of 0.13, turned a map by 1.3 m beyond its view (ADR 0029)."""
 WRONG_M = 0.4
-"""A lane this far from its place is an error of the map when movements are compared."""
+"""A lane this far from its place counts as an error of the map when movements are compared. Chosen:
+a little above the tolerance of a lane (`discrepancies.SHIFT_M`); smaller counts noise."""
 LANE_GATE_M = 1.75
+"""Half a lane of 3.5 m: farther, a lane is easily taken for its neighbour."""
 STARTS = 6
+"""Shifts that the fit starts from. Chosen: more cost time, fewer can miss the right one where lanes
+repeat."""
+START_GAP_M = 0.75
+"""Least distance between two of them. Chosen: nearer ones end in the same fit."""
+ITERATIONS = 15
+"""Most steps of the least squares, which end before where a step changes less than 1e-4. Chosen:
+more cost time."""
 
 
 @dataclass(frozen=True, slots=True)
 class Alignment:
-    """Lays what a camera sees on the network: `centre + R(turn) (p - centre) + shift`.
+    """Movement of a camera's points onto the network: `centre + R(turn) (p - centre) + shift`.
 
     Attributes:
         centre_m: (2,) middle of the lanes, in the map frame.
@@ -65,7 +82,7 @@ class Alignment:
         unobserved: (2,) unit vector of the direction along which nothing is known, as all lanes
             run along it; zero when both directions are.
         residual_m: Median distance of the lanes from the network's afterwards.
-        lanes: Confirmed lanes that it rests on.
+        lanes: How many confirmed lanes it was fitted to.
     """
 
     centre_m: NDArray[np.float64]
@@ -102,7 +119,7 @@ class Alignment:
 
     @property
     def significant(self) -> bool:
-        """Whether camera and map disagree by more than they may by chance."""
+        """Whether camera and map differ by more than the errors explain."""
         return self.size_m > max(SIGNIFICANT_M, SIGNIFICANT_SIGMAS * self.sigma_m)
 
     def about_origin(
@@ -119,7 +136,7 @@ class Alignment:
         return shift, np.asarray(step @ self.covariance @ step.T)
 
     def values(self) -> dict[str, float]:
-        """Figures for reports."""
+        """Rounded figures for reports."""
         return {
             "shift_east_m": round(float(self.shift_m[0]), 3),
             "shift_north_m": round(float(self.shift_m[1]), 3),
@@ -129,7 +146,7 @@ class Alignment:
 
     @property
     def applied(self) -> Alignment:
-        """This where it is significant, else no movement: small ones are left to chance."""
+        """The same movement where it is significant, else none."""
         if self.significant:
             return self
         return replace(self, shift_m=np.zeros(2), turn_rad=0.0)
@@ -160,7 +177,7 @@ class _Problem:
 
 
 def align(lanes: Sequence[Lane], network: RoadNetwork) -> Alignment:
-    """Lay detected lanes on a network.
+    """Find the movement that lays detected lanes on a network.
 
     Args:
         lanes: In the map frame; only confirmed ones are used.
@@ -195,7 +212,7 @@ def _problem(lanes: Sequence[Lane], network: RoadNetwork, number: NDArray[np.int
 
 
 def _starts(problem: _Problem) -> list[NDArray[np.float64]]:
-    """Shifts to begin with: none, and those after which most lanes lie on lanes."""
+    """Shifts to start from: none, and those after which most lanes lie on lanes."""
     side = np.arange(-SEARCH_M, SEARCH_M + 1e-9, SEARCH_STEP_M)
     shifts = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
     shifts = shifts[np.hypot(*shifts.T) <= SEARCH_M]
@@ -209,7 +226,7 @@ def _starts(problem: _Problem) -> list[NDArray[np.float64]]:
     order = np.argsort(-score + 1e-3 * score.max() * np.hypot(*shifts.T), kind="stable")
     starts = [np.zeros(2)]
     for k in order.tolist():
-        if len(starts) < STARTS and all(np.hypot(*(shifts[k] - s)) >= 0.75 for s in starts):
+        if len(starts) < STARTS and all(np.hypot(*(shifts[k] - s)) >= START_GAP_M for s in starts):
             starts.append(shifts[k])
     return [np.append(start, 0.0) for start in starts]
 
@@ -228,7 +245,7 @@ def _refined(
     problem: _Problem, start: NDArray[np.float64], turns: bool = True
 ) -> NDArray[np.float64]:
     move, free = start, slice(3 if turns else 2)
-    for _ in range(15):
+    for _ in range(ITERATIONS):
         lane, residual = _nearest(problem, move)
         rows = problem.rows(lane)[:, free]
         weight = problem.weight * _biweight(np.abs(residual))
@@ -276,9 +293,9 @@ def _result(problem: _Problem, move: NDArray[np.float64]) -> Alignment:
 
 
 def _cost(problem: _Problem, result: Alignment) -> tuple[float, float]:
-    """Errors of the map that a movement leaves as it is applied, and how badly the fit is.
+    """How many errors of the map remain after a movement, and how bad the fit is.
 
-    Of movements that leave as many, the one that fits is taken.
+    Of movements that leave as many errors, the one that fits best is taken.
     """
     used = result.applied
     lane, residual = _nearest(problem, np.append(used.shift_m, used.turn_rad))

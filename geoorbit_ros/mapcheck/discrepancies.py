@@ -1,7 +1,7 @@
-"""Where aligned lanes and a network differ: missing, extra, shifted, other width, other direction.
+"""Compares aligned lanes with a network: missing, extra, shifted, other width, other direction.
 
-What has no partner (`mapcheck/offsets.py`) is missing in the map, or has not been seen by the
-camera; what has one is compared with it, edge by edge.
+Each detected lane is compared with its partner in the network (`mapcheck/offsets.py`). A detected
+lane without partner is missing in the map; a network lane without one is extra, or was not seen.
 """
 
 from __future__ import annotations
@@ -22,12 +22,18 @@ from geoorbit_ros.mapcheck.offsets import Partners, find_partners, lanes_near, o
 from geoorbit_ros.roadnet.network import RoadNetwork
 
 BESIDE_M = 6.0
-"""A missing lane belongs to the edge of the lane within this distance."""
+"""A missing lane belongs to the edge of a lane within this distance. Chosen: not quite two lanes;
+farther lanes are of another road."""
 BESIDE_SHARE = 0.6
-"""A lane whose middle is farther from every lane's than this share of its width is another one."""
+"""A lane is missing where its middle is farther from every lane of the map than this share of that
+lane's width. Chosen: half a lane and a little; smaller calls displaced lanes missing, larger the
+other way round."""
 SHIFT_M, WIDTH_M = 0.35, 0.25
-"""Differences that are none, be the detection ever so sure: drivers don't keep to the middle."""
+"""Differences in place and width that are never reported. Chosen: drivers don't keep to the middle,
+whatever the error of the detected lane; smaller reports their habits, larger hides small errors."""
 SIGMAS = 2.5
+"""A difference must also exceed so many times the error of the detected lane: 1 % by chance (normal
+distribution, two-sided)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +42,7 @@ class Discrepancies:
 
     Attributes:
         findings: In the order of certainty.
-        unseen: Lanes of the network without enough traffic to judge them.
+        unseen: Lanes of the network without enough traffic to compare them.
         compared: Lanes of the network that were compared, and over how many metres.
         driven: Where those are driven whose edge has lanes out of place or of another width.
     """
@@ -112,22 +118,24 @@ def _of_pair(
     if abs(shift) > tolerance and _all_along(network, k, partners, at, shift):
         side = "left" if shift > 0 else "right"
         text = f"{name} lies {abs(shift):.2f} m too far to the {_other(side)}"
-        sure = lane.confidence * float(ndtr((abs(shift) - SHIFT_M) / max(sigma, 1e-3)))
+        confidence = lane.confidence * float(ndtr((abs(shift) - SHIFT_M) / max(sigma, 1e-3)))
         found.append(
-            Finding("shifted", name, lane.lane_id, line, shift, 0.0, tolerance, "m", sure, text)
+            Finding(
+                "shifted", name, lane.lane_id, line, shift, 0.0, tolerance, "m", confidence, text
+            )
         )
     expected = float(network.width_m[k])
     sigma = lane.width_sigma_m if np.isfinite(lane.width_sigma_m) else WIDTH_M
     tolerance = float(np.hypot(WIDTH_M, SIGMAS * sigma))
     if np.isfinite(lane.width_m) and abs(lane.width_m - expected) > tolerance:
         text = f"{name} is {lane.width_m:.2f} m wide, by the map {expected:.2f} m"
-        sure = lane.confidence * float(
+        confidence = lane.confidence * float(
             ndtr((abs(lane.width_m - expected) - WIDTH_M) / max(sigma, 1e-3))
         )
         found.append(
             Finding(
                 "width", name, lane.lane_id, line, lane.width_m, expected, tolerance, "m",
-                sure, text,
+                confidence, text,
             )
         )  # fmt: skip
     return found
@@ -136,10 +144,10 @@ def _of_pair(
 def _all_along(
     network: RoadNetwork, k: int, partners: Partners, at: NDArray[np.bool_], shift_m: float
 ) -> bool:
-    """Whether lane k is displaced all along, as far as that tells a displaced lane from another.
+    """Whether lane k is displaced over its whole length; asked only where that matters.
 
-    Of a lane that ends or begins beside others that go on, drivers come or go over most of it: its
-    traffic is beside its middle, but not all along. It must be so in every third of it.
+    Where a lane ends or begins beside others that go on, vehicles change lanes over most of it: the
+    traffic lies beside its middle, but not everywhere. So it must be displaced in every third.
     """
     group = [j for j, edge in enumerate(network.edge_id) if edge == network.edge_id[k]]
     links = (network.successors, network.predecessors)
@@ -161,7 +169,7 @@ def _other(side: str) -> str:
 def _missing(
     lane: Lane, d: int, network: RoadNetwork, beside: _Beside, partners: Partners
 ) -> list[Finding]:
-    """Stretches of a detected lane beside every lane of the map, one for each edge beside it."""
+    """Parts of a detected lane where the map has none, one finding for each edge beside it."""
     mine = np.flatnonzero(partners.detected == d)
     alone = (partners.lane[mine] < 0) & (partners.gap_m[mine] > BESIDE_SHARE)
     found = []
@@ -192,7 +200,7 @@ class _Beside:
     Args:
         lines: Detected centre lines, aligned.
         network: The network.
-        number: Its lanes that may be.
+        number: Which of its lanes to look at.
     """
 
     def __init__(
@@ -209,7 +217,7 @@ class _Beside:
     def neighbours(self, samples: NDArray[np.int64], network: RoadNetwork) -> NDArray[np.int64]:
         """(N,) for each of these samples the nearest lane within `BESIDE_M`, -1 for none.
 
-        Where edges part, lanes of both are near: that edge is taken which most samples are beside.
+        Where edges part, lanes of both are near: the edge beside most of the samples is taken.
         """
         away = self._away[samples]
         edge = np.array([network.edge_id[int(k)] for k in self._number])

@@ -1,9 +1,9 @@
-"""Lanes of a map that carry nothing, where others of the same road do.
+"""Lanes of a map without traffic, where other lanes of the same road have some.
 
-A lane that carries no traffic is extra only where lanes beside it have carried so much that it
-would have had some: with shares of the traffic drawn at random (Dirichlet, all alike), k lanes and
-N vehicles, a lane that is there stays empty with probability (k - 1) / (k - 1 + N). And only where
-drivers have no reason to be in another one: a lane that ends is left long before it does.
+A lane without traffic is extra only where so many vehicles drove beside it that some would have
+driven in it. With shares of the traffic drawn at random (Dirichlet, all alike), k lanes and N
+vehicles, a real lane stays empty with probability (k - 1) / (k - 1 + N). And only where drivers
+have no reason to leave it: a lane that ends is left long before its end.
 """
 
 from __future__ import annotations
@@ -21,24 +21,29 @@ from geoorbit_ros.mapcheck.offsets import Partners
 from geoorbit_ros.roadnet.network import RoadNetwork
 
 MIN_LENGTH_M = 20.0
-"""Of less, neither side says much."""
+"""Lanes are compared over at least this length. Chosen: shorter pieces say little (two car lengths
+and a gap); larger leaves short edges unchecked."""
 EMPTY_SHARE = 0.7
-"""An extra lane is empty over this share of the length over which its edge is seen in use."""
+"""An extra lane is empty over this share of the length over which its edge is in use. Chosen:
+larger misses extra lanes that a vehicle touched, smaller reports lanes that are seldom used."""
 CELL_M = 4.0
+"""Cells in which use is counted: two samples (`offsets.STEP_M`). Chosen: smaller leaves gaps
+between samples."""
 EXTRA_CONFIDENCE = 0.9
-"""With 0.8, lanes with two vehicles a minute were called extra (random scenes)."""
+"""Least probability that an empty lane is extra. With 0.8, lanes with two vehicles a minute were
+called extra in random scenes (ADR 0029)."""
 LEAVES_S = 5.0
-"""A change of lane takes so long (Toledo and Zohar 2007, 4.6 s on average): nearer to a lane's end
-nobody is in it who left it in time."""
+"""Drivers leave a lane that ends at least this long before its end: a change of lane takes 4.6 s on
+average (Toledo and Zohar 2007)."""
 
 
 def find_extra(
     lanes: Sequence[Lane], network: RoadNetwork, number: NDArray[np.int64], partners: Partners
 ) -> tuple[list[Finding], list[Unseen]]:
-    """Lanes of edges in use that carry nothing, and those of which that says too little.
+    """Empty lanes of edges in use: extra ones, and those about which too little is known.
 
-    A lane in which somebody drove over `MIN_LENGTH_M`, be it once, is there, however much of it is
-    empty: beside ramps and before their ends lanes are left early and entered late.
+    One vehicle that drove `MIN_LENGTH_M` in a lane proves it, however empty the rest is: beside
+    ramps and before their ends, lanes are left early and entered late.
     """
     found: list[Finding] = []
     unseen: list[Unseen] = []
@@ -63,34 +68,35 @@ def find_extra(
             if must_be_left(network, k):
                 leaves_m = float(network.length_m[k] - LEAVES_S * network.speed_mps[k])
                 if leaves_m - arc.min() < MIN_LENGTH_M:
-                    text = f"no traffic seen on {name}, which ends: drivers leave it before"
+                    text = f"no traffic seen on {name}, which ends: drivers leave it before its end"
                     unseen.append(Unseen(name, text))
                     continue
                 seen_m = min(seen_m, leaves_m - float(arc.min()))
             others = len(group) - 1
-            sure = vehicles / (vehicles + max(others, 1))
+            confidence = vehicles / (vehicles + max(others, 1))
             line = _stretch(network, k, arc)
-            if sure < EXTRA_CONFIDENCE:
+            if confidence < EXTRA_CONFIDENCE:
                 needed = EXTRA_CONFIDENCE / (1.0 - EXTRA_CONFIDENCE) * max(others, 1) - vehicles
                 text = (
                     f"no traffic seen on {name}; {ceil(needed - 1e-6)} more vehicles beside it "
-                    "would say that it isn't there"
+                    "are needed to say that it isn't there"
                 )
                 unseen.append(Unseen(name, text))
                 continue
             text = (
-                f"no lane seen on {name} over {seen_m:.0f} m, while {vehicles:.0f} drove beside it"
+                f"no traffic on {name} over {seen_m:.0f} m, while {vehicles:.0f} vehicles "
+                "drove beside it"
             )
-            found.append(Finding("extra", name, None, line, 0.0, 1.0, 0.0, "", sure, text))
+            found.append(Finding("extra", name, None, line, 0.0, 1.0, 0.0, "", confidence, text))
     return found, unseen
 
 
 def must_be_left(network: RoadNetwork, k: int) -> bool:
     """Whether lane k ends while the road goes on with fewer lanes.
 
-    At a junction, where the lanes beside it lead to several roads, each lane leads somewhere: one
-    that leads nowhere is not left, but wrong. One that cannot be entered either, where others can,
-    leads from nowhere to nowhere: no driver has ever been in it to leave it.
+    Where the lanes beside it lead to several roads (a junction), each lane leads to one of them: a
+    lane without connection there is wrong. So is a lane that can't be entered either, where the
+    others can.
     """
     group = [j for j, edge in enumerate(network.edge_id) if edge == network.edge_id[k]]
     narrows = len(set().union(*(_onward(network, j) for j in group))) == 1

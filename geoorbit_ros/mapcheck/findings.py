@@ -1,4 +1,4 @@
-"""What can be wrong with a map, as found by a camera, in words and as records."""
+"""A difference between a map and what a camera sees."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Finding:
         tolerance: The difference that would have been no finding.
         unit: Of the three: `m`, or empty for directions (degrees from north) and lane counts.
         confidence: Probability that the map is wrong here.
-        sentence: The finding in words.
+        sentence: The finding as a sentence, without the full stop.
     """
 
     kind: Kind
@@ -57,11 +57,11 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Unseen:
-    """A lane of the network about which the camera can't say anything yet.
+    """A lane of the network that can't be compared yet.
 
     Attributes:
         lane_id: SUMO's id.
-        sentence: Why, and what is missing.
+        sentence: Why, and what is needed.
     """
 
     lane_id: str

@@ -1,7 +1,6 @@
-"""Findings become changes of the network: a patch that netconvert applies, checked by loading it.
+"""Corrects a network by the findings of a camera, through netconvert, and checks the result.
 
-Only lanes with a finding change. A lane keeps the length over which it was not seen, moved with
-the part that was.
+Only lanes with a finding change. The part of a lane beyond the view moves along with the part seen.
 """
 
 from __future__ import annotations
@@ -36,12 +35,12 @@ class Patched:
 
     Attributes:
         network: As loaded again.
-        before: What was found in the network as it was.
-        after: What is found in the corrected one.
+        before: What was found in the given network.
+        after: What is found in the corrected network.
         done: Findings that the patch corrects.
         left: Findings that it doesn't, with the reason.
         options: Those netconvert was run with.
-        warnings: What it said.
+        warnings: What it warned of.
     """
 
     network: RoadNetwork
@@ -53,7 +52,7 @@ class Patched:
     warnings: tuple[str, ...]
 
     def record(self, datum: Datum) -> dict[str, Any]:
-        """All of it for a JSON file."""
+        """Everything for a JSON file."""
         return {
             "netconvert": {"options": list(self.options), "warnings": list(self.warnings)},
             "corrected": [f.sentence for f in self.done],
@@ -64,7 +63,7 @@ class Patched:
 
 
 def patch_network(lanes: Sequence[Lane], network: RoadNetwork, folder: Path) -> Patched:
-    """Correct a network by what a camera sees.
+    """Correct a network by the lanes that a camera sees.
 
     Args:
         lanes: Detected, in the camera's map frame.
@@ -116,20 +115,20 @@ class _Editor:
 
     Args:
         plain: What is changed.
-        network: The network as it is, in the map frame.
+        network: The network before the changes, in the map frame.
     """
 
     def __init__(self, plain: PlainNetwork, network: RoadNetwork) -> None:
         self._plain, self._network = plain, network
 
     def apply(self, finding: Finding, found: Validation, lanes: Sequence[Lane]) -> str:
-        """Change the network; why not, where that can't be done."""
+        """Change the network; the reason where that can't be done, else empty."""
         if not finding.lane_id:
             return "no road of the map is beside it"
         k = self._network.number[finding.lane_id]
         edge_id, index = self._network.edge_id[k], int(self._network.index[k])
         if finding.kind == "direction":
-            return self._turn(edge_id, found)
+            return self._reverse(edge_id, found)
         edit = self._plain.edge(edge_id)
         at = next((i for i, lane in enumerate(edit.lanes) if lane.origin == index), None)
         if at is None:
@@ -151,14 +150,14 @@ class _Editor:
             edit.lanes.insert(at + 1 if side > 0 else at, new)
         return ""
 
-    def _turn(self, edge_id: str, found: Validation) -> str:
+    def _reverse(self, edge_id: str, found: Validation) -> str:
         wrong = {f.lane_id for f in found.findings if f.kind == "direction"}
         right = set(found.discrepancies.compared) - wrong
         if any(self._network.edge_id[self._network.number[lane]] == edge_id for lane in right):
             return "only some lanes of its edge run the other way"
         edit = self._plain.edge(edge_id)
-        if not edit.turned:
-            edit.turn()
+        if not edit.reversed:
+            edit.reverse()
         return ""
 
     def _moved(self, k: int, seen_m: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -172,10 +171,10 @@ class _Editor:
 
 
 def _check(network: RoadNetwork, plain: PlainNetwork) -> None:
-    """The network that netconvert made has the lanes that were asked for.
+    """Check that netconvert made all lanes of the changed edges.
 
     Raises:
-        RoadNetworkError: It hasn't.
+        RoadNetworkError: An edge has more or fewer.
     """
     import sumolib
 

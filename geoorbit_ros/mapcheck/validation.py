@@ -1,4 +1,4 @@
-"""A camera's lanes against a network, in two steps: lay one on the other, then say what differs."""
+"""Compares a camera's lanes with a network: first the map as a whole, then lane by lane."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from geoorbit_ros.roadnet.network import RoadNetwork
 
 @dataclass(frozen=True, slots=True)
 class Validation:
-    """What a camera says about a network.
+    """The result of a comparison.
 
     Attributes:
         alignment: How the camera's map frame lies on the network.
@@ -43,7 +43,7 @@ class Validation:
         return found
 
     def record(self, datum: Datum) -> dict[str, Any]:
-        """All of it for a JSON file, places in degrees."""
+        """Everything for a JSON file, positions in degrees."""
         a = self.alignment
         return {
             "alignment": {
@@ -96,7 +96,7 @@ def in_frame(lanes: Sequence[Lane], datum: Datum, wanted: Datum) -> list[Lane]:
 def say_alignment(a: Alignment) -> str:
     """The alignment as a sentence."""
     unknown = _heading(a)
-    along = "" if unknown is None else f" (along {unknown:.0f}°, where all lanes run, not known)"
+    along = "" if unknown is None else f" (not known along {unknown:.0f}°, where all lanes run)"
     if not a.significant:
         return f"Camera and map fit within {a.size_m:.2f} ± {a.sigma_m:.2f} m{along}."
     east, north = -a.shift_m

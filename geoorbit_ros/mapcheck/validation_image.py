@@ -1,4 +1,4 @@
-"""A map and what a camera says about it, as a picture."""
+"""Draws a map, the lanes that a camera sees, and where they differ."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ COLOURS: dict[Kind, str] = {
     "direction": "#c2185b",
 }
 MARGIN_M = np.array([12.0, 5.0])
-"""Along and across the road."""
-MAX_LINES = 30
-WRAP = 125
+"""Around the lanes, along and across the road. Layout of the page."""
+MAX_LINES, WRAP = 30, 125
+"""Findings listed below the drawing, and characters per line. Layout of the page."""
 
 
 def save_validation(
@@ -40,21 +40,21 @@ def save_validation(
     """Draw network and detected lanes along the page, each finding with its number, listed below.
 
     Args:
-        path: Picture to write.
+        path: Image to write.
         lanes: Detected, in the camera's map frame.
         network: In the same frame.
-        found: What they were found to differ in.
-        title: Above the picture.
+        found: What differs.
+        title: Above the drawing.
     """
     from matplotlib.figure import Figure
 
     laid = [found.alignment.applied.points(lane.centerline_m) for lane in lanes]
     frame = _Frame(laid)
-    words = _words(found)
+    lines = _lines(found)
     wide = frame.span[1] / frame.span[0]
     height = float(np.clip(12.5 * wide * 2.5, 3.5, 8.0))
-    figure = Figure(figsize=(13.0, height + 0.19 * len(words) + 1.2), layout="constrained")
-    plot, text = figure.subplots(2, 1, height_ratios=[height, 0.19 * len(words) + 0.3])
+    figure = Figure(figsize=(13.0, height + 0.19 * len(lines) + 1.2), layout="constrained")
+    plot, text = figure.subplots(2, 1, height_ratios=[height, 0.19 * len(lines) + 0.3])
     plot.set_aspect("auto" if wide < 0.4 else "equal")
     for k in lanes_near(network, lanes).tolist():
         _draw_network_lane(plot, frame, network, k)
@@ -71,9 +71,9 @@ def save_validation(
         fontsize=10,
     )
     text.axis("off")
-    for row, (colour, sentence) in enumerate(words):
+    for row, (colour, sentence) in enumerate(lines):
         text.text(
-            0.0, 1.0 - row / len(words), sentence, color=colour, fontsize=9, va="top",
+            0.0, 1.0 - row / len(lines), sentence, color=colour, fontsize=9, va="top",
             transform=text.transAxes,
         )  # fmt: skip
     figure.savefig(path, dpi=110)
@@ -141,22 +141,22 @@ def _arrow(plot: Axes, line: NDArray[np.float64], colour: str, share: float = 0.
     )
 
 
-def _words(found: Validation) -> list[tuple[str, str]]:
-    words = [("black", say_alignment(found.alignment))]
+def _lines(found: Validation) -> list[tuple[str, str]]:
+    lines = [("black", say_alignment(found.alignment))]
     for number, finding in enumerate(found.findings[:MAX_LINES], 1):
         if finding.kind == "offset":
             continue
         text = f"{number}  {finding.sentence} (± {finding.tolerance:.2f} m allowed)"
         if finding.kind in ("missing", "extra", "direction"):
             text = f"{number}  {finding.sentence} ({finding.confidence:.0%} sure)"
-        words += [(COLOURS[finding.kind], part) for part in textwrap.wrap(text, WRAP)]
+        lines += [(COLOURS[finding.kind], part) for part in textwrap.wrap(text, WRAP)]
     if len(found.findings) > MAX_LINES:
-        words.append(("black", f"… and {len(found.findings) - MAX_LINES} more"))
-    words += [
+        lines.append(("black", f"… and {len(found.findings) - MAX_LINES} more"))
+    lines += [
         ("0.4", part)
         for u in found.discrepancies.unseen
         for part in textwrap.wrap(u.sentence, WRAP)
     ]
     if not found.findings:
-        words.append(("black", "No findings."))
-    return words
+        lines.append(("black", "No findings."))
+    return lines

@@ -24,7 +24,8 @@ Move = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 _SHAPES = ("shape", "outlineShape")
 NETWORK, OPENDRIVE, RECORD = "network.net.xml", "road.xodr", "map.json"
 LANE_WIDTH_M = 3.5
-"""Between the 3.66 m of US freeways (AASHTO) and the 3.25 m of European city streets."""
+"""For lanes whose width the map does not state: between the 3.66 m of US freeways (AASHTO, A Policy
+on Geometric Design of Highways and Streets) and the 3.25 m of European city streets."""
 _OSM_EXPECTED = "an OpenStreetMap extract (.osm or .osm.gz)"
 _OSM_OPTIONS = (
     "--geometry.remove=true",
@@ -46,7 +47,7 @@ class BuiltMap:
     Attributes:
         network: The network, its coordinates being the map frame at its datum.
         opendrive: Roads in the OpenDRIVE file.
-        warnings: What netconvert had to say, one sentence each.
+        warnings: What netconvert warned of, one sentence each.
     """
 
     network: RoadNetwork
@@ -86,7 +87,7 @@ def build_from_osm(
 
 
 def build_from_network(net: Path, folder: Path, datum: Datum | None = None) -> BuiltMap:
-    """Write a network that there is, moved into the map frame, its OpenDRIVE and the record.
+    """Write an existing network, moved into the map frame, its OpenDRIVE and the record.
 
     Args:
         net: A SUMO network with a projection.
@@ -164,9 +165,9 @@ def _middle_of_roads(area: Path) -> Datum:
 
 
 def _check_opendrive(path: Path, datum: Datum) -> int:
-    """Make sure of the georeference that CARLA reads; the number of roads outside junctions.
+    """Check the georeference that CARLA reads; the number of roads outside junctions.
 
-    CARLA 0.9.16 takes `+proj=tmerc` with `lat_0` and `lon_0`; of UTM it makes another place.
+    CARLA 0.9.16 reads `+proj=tmerc` with `lat_0` and `lon_0`; UTM it takes for another place.
     """
     root = parse_xml(path, "the OpenDRIVE file that netconvert wrote").getroot()
     reference = root.findtext("header/geoReference", "").strip()
@@ -194,7 +195,7 @@ def write_reprojected(network: RoadNetwork, out: Path) -> None:
 
 
 def write_moved(network: RoadNetwork, move: Move, out: Path) -> None:
-    """Write a network with all of it moved; its coordinates stay of the kind they are.
+    """Write a network with all its coordinates moved; its projection stays the same.
 
     Args:
         network: The network.
@@ -217,10 +218,10 @@ def _move(root: Xml.Element, move: Move) -> str:
             shape = element.get(name)
             if not shape:
                 continue
-            words = [word.split(",") for word in shape.split()]
-            moved = move(np.array([[float(word[0]), float(word[1])] for word in words]))
+            points_of = [point.split(",") for point in shape.split()]
+            moved = move(np.array([[float(point[0]), float(point[1])] for point in points_of]))
             points.append(moved)
-            rest = ["," + ",".join(word[2:]) if word[2:] else "" for word in words]
+            rest = ["," + ",".join(point[2:]) if point[2:] else "" for point in points_of]
             text = (f"{x:.3f},{y:.3f}{z}" for (x, y), z in zip(moved, rest, strict=True))
             element.set(name, " ".join(text))
         if element.tag == "junction" and element.get("x") is not None:

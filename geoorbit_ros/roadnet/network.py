@@ -29,10 +29,10 @@ class RoadNetwork:
     Attributes:
         path: The network file.
         datum: Origin of the map frame.
-        plane: The way between the map frame and the network's own coordinates.
+        plane: Converts between the map frame and the network's own coordinates.
         lane_id: (L,) SUMO's ids.
         edge_id: (L,) of the edge of each lane.
-        index: (L,) place in the edge, 0 the rightmost.
+        index: (L,) index in the edge, 0 the rightmost.
         internal: (L,) whether the lane crosses a junction.
         width_m: (L,).
         speed_mps: (L,) speed limits.
@@ -111,8 +111,8 @@ def load_network(path: str | Path, datum: Datum | None = None) -> RoadNetwork:
             they are such a frame (`geoorbit map build` makes them so), else its middle.
 
     Raises:
-        RoadNetworkError: A file that can't be used; in particular one without projection, because
-            nothing says where on earth it is.
+        RoadNetworkError: A file that can't be used; in particular one without projection, whose
+            location on earth is not known.
     """
     content = read_network_file(path)
     if not content.projection:
@@ -146,8 +146,8 @@ def _middle(
     projection: str, net_offset: tuple[float, float], xy: NDArray[np.float64], place: str
 ) -> Datum:
     try:
-        way = Transformer.from_crs(CRS(projection), "EPSG:4326", always_xy=True)
-        longitude, latitude = way.transform(
+        projected = Transformer.from_crs(CRS(projection), "EPSG:4326", always_xy=True)
+        longitude, latitude = projected.transform(
             xy[0] - net_offset[0], xy[1] - net_offset[1], errcheck=True
         )
     except ProjError as error:

@@ -1,4 +1,4 @@
-"""Reads a SUMO network file: lanes, connections, place on earth. No more than the twin needs."""
+"""Reads a SUMO network file: its lanes, connections and location, which is all the twin needs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from geoorbit_ros.roadnet.errors import RoadNetworkError
 
 DEFAULT_WIDTH_M = 3.2
-"""SUMO's default, where a lane states no width."""
+"""SUMO's default, where a lane states no width (SUMO user documentation, SUMO Road Networks)."""
 _ROAD_CLASSES = frozenset(
     {"private", "passenger", "taxi", "bus", "coach", "delivery", "truck", "trailer", "motorcycle"}
 )
@@ -32,7 +32,7 @@ class LaneRecord:
         internal: Whether it crosses a junction.
         speed_mps: Speed limit.
         width_m: Its width.
-        length_m: Length by SUMO's count, which may differ from the shape's.
+        length_m: Length as the file states it, which may differ from the shape's.
         shape: (K, 2) centre line in travel order, K >= 2.
     """
 

@@ -1,7 +1,7 @@
-"""A SUMO network as plain XML, edge by edge editable, and back through netconvert.
+"""Edits the edges of a SUMO network: to plain XML, and back to a network through netconvert.
 
-Changed edges and connections go to files of their own, `patch.edg.xml` and `patch.con.xml`; what is
-left of the network to `base.….xml`. netconvert takes both, and the patch can be read and kept.
+Changed edges and connections go to `patch.edg.xml` and `patch.con.xml`, so that the patch can be
+read and kept; the rest of the network goes to `base.….xml`. netconvert makes the network of both.
 """
 
 from __future__ import annotations
@@ -21,12 +21,21 @@ from geoorbit_ros.roadnet.network_file import DEFAULT_WIDTH_M, parse_xml
 BASE, PATCH = "base", "patch"
 _PARTS = {"nod": "node", "edg": "edge", "con": "connection", "tll": "tllogic"}
 MEET_M = 40.0
-"""Over a junction a lane goes on within this."""
+"""A lane continues in one that begins within this distance, over a junction. Chosen: larger joins
+lanes of other junctions, smaller loses those over wide ones."""
 MEET_SHARE = 0.6
-"""A lane goes on to one that begins less than this share of its width beside it."""
+"""A lane continues in one that begins less than this share of its width beside it. Chosen: half a
+lane and a little; more joins a lane to its neighbour, less misses lanes that shift at a
+junction."""
 MEET_RAD = np.radians(30.0)
+"""A lane continues in one whose direction differs by less. Chosen: larger takes turns for lanes
+that go straight on, smaller loses bends inside junctions."""
+BEGIN_BEFORE_M = 5.0
+"""A lane may begin this far before the other ends. Chosen: larger joins lanes that run side by
+side, smaller loses edges that overlap at a junction."""
 END_M = 15.0
-"""The direction of a lane's end is taken over this: single points are noise."""
+"""A lane's direction at its end is taken over this length. Chosen: longer flattens bends, shorter
+follows single points of the drawing."""
 _PLAIN = "the plain XML that netconvert wrote"
 
 
@@ -49,15 +58,15 @@ class LaneEdit:
 
 @dataclass(slots=True)
 class EdgeEdit:
-    """An edge that can be changed: lanes from right to left, and whether it has been turned."""
+    """An edge that can be changed; its lanes are ordered from right to left."""
 
     edge_id: str
     lanes: list[LaneEdit]
-    turned: bool = False
+    reversed: bool = False
 
-    def turn(self) -> None:
+    def reverse(self) -> None:
         """Make all lanes run the other way."""
-        self.turned = not self.turned
+        self.reversed = not self.reversed
         for lane in self.lanes:
             lane.shape_m = lane.shape_m[::-1]
         self.lanes.reverse()
@@ -159,27 +168,29 @@ class PlainNetwork:
                 base.remove(c)
                 for key, rest in self._renumbered(c).items():
                     kept[key] = rest
-        for key in self._grown():
+        for key in self._new_connections():
             kept.setdefault(key, {})
         for (a, b, i, j), rest in kept.items():
             Xml.SubElement(
                 patch, "connection", {"from": a, "to": b, "fromLane": i, "toLane": j, **rest}
             )
         for edge in sorted(touched - {a for a, *_ in kept}):
-            Xml.SubElement(patch, "connection", {"from": edge})  # none, and none to be guessed
+            Xml.SubElement(
+                patch, "connection", {"from": edge}
+            )  # no connection: netconvert must not guess any
         self._save(base, BASE, "con")
         self._save(patch, PATCH, "con")
         signals = copy.deepcopy(self._root["tll"])
         for c in signals.findall("connection"):
             if c.get("from") in touched:
-                signals.remove(c)  # its number may be another's now; netconvert counts anew
+                signals.remove(c)  # its number may have changed; netconvert numbers them again
         self._save(signals, BASE, "tll")
 
     def _keep_junctions(self) -> None:
-        """Junctions at changed edges keep the outlines they have.
+        """Junctions at changed edges keep their outlines.
 
-        netconvert would compute them anew: where edges meet at a small angle, some decimetres to
-        the side decide over some tens of metres of junction, which the edges lose.
+        Where edges meet at a small angle, netconvert would make a junction tens of metres longer
+        for some decimetres to the side, and cut the edges by that.
         """
         nodes = copy.deepcopy(self._root["nod"])
         ends = {self._edges[e].attrib[end] for e in self.changed for end in ("from", "to")}
@@ -190,34 +201,34 @@ class PlainNetwork:
         self._save(nodes, BASE, "nod")
 
     def _renumbered(self, c: Xml.Element) -> dict[tuple[str, str, str, str], dict[str, str]]:
-        """A connection with the new numbers of its lanes; none where a lane is gone."""
+        """A connection with the new indices of its lanes; empty where a lane is gone."""
         a, b = c.attrib["from"], c.get("to")
         if b is None or c.get("fromLane") is None:
             return {}
-        i = self._place(a, int(c.attrib["fromLane"]))
-        j = self._place(b, int(c.attrib["toLane"]))
+        i = self._new_index(a, int(c.attrib["fromLane"]))
+        j = self._new_index(b, int(c.attrib["toLane"]))
         if i is None or j is None:
             return {}
         skip = {"from", "to", "fromLane", "toLane", "shape", "linkIndex", "linkIndex2"}
         rest = {name: value for name, value in c.attrib.items() if name not in skip}
         return {(a, b, str(i), str(j)): rest}
 
-    def _place(self, edge_id: str, index: int) -> int | None:
+    def _new_index(self, edge_id: str, index: int) -> int | None:
         edit = self.changed.get(edge_id)
         if edit is None:
             return index
-        if edit.turned:
+        if edit.reversed:
             return None
         return next((k for k, lane in enumerate(edit.lanes) if lane.origin == index), None)
 
-    def _grown(self) -> list[tuple[str, str, str, str]]:
-        """Connections of new lanes and turned edges, where lanes go on straight."""
+    def _new_connections(self) -> list[tuple[str, str, str, str]]:
+        """Connections of new lanes and reversed edges to the lanes straight ahead."""
         found = []
         for a, b in self._meeting():
-            for i, one in enumerate(self._now(a)):
-                for j, other in enumerate(self._now(b)):
+            for i, one in enumerate(self._lanes_now(a)):
+                for j, other in enumerate(self._lanes_now(b)):
                     new = self._is_new(a, one) or self._is_new(b, other)
-                    if new and _goes_on(one, other):
+                    if new and _continues_in(one, other):
                         found.append((a, b, str(i), str(j)))
         return found
 
@@ -238,15 +249,15 @@ class PlainNetwork:
         element = self._edges[edge_id]
         ends = (element.attrib["from"], element.attrib["to"])
         edit = self.changed.get(edge_id)
-        return ends[::-1] if edit is not None and edit.turned else ends
+        return ends[::-1] if edit is not None and edit.reversed else ends
 
-    def _now(self, edge_id: str) -> list[LaneEdit]:
+    def _lanes_now(self, edge_id: str) -> list[LaneEdit]:
         edit = self.changed.get(edge_id)
         return edit.lanes if edit else [self._lane(a) for a in self._lanes[edge_id]]
 
     def _is_new(self, edge_id: str, lane: LaneEdit) -> bool:
         edit = self.changed.get(edge_id)
-        return edit is not None and (edit.turned or lane.origin is None)
+        return edit is not None and (edit.reversed or lane.origin is None)
 
     def _save(self, root: Xml.Element, stem: str, part: str) -> None:
         Xml.indent(root)
@@ -265,7 +276,7 @@ def _lanes_of(net: Path) -> dict[str, list[dict[str, str]]]:
 
 
 def _outlines_of(net: Path) -> dict[str, str]:
-    """Outlines of the junctions by their ids; a dead end has a line, which is none."""
+    """Outlines of the junctions by their ids; dead ends, which have a line only, are left out."""
     junctions = parse_xml(net).getroot().iter("junction")
     shapes = {j.attrib["id"]: j.get("shape", "") for j in junctions}
     return {name: shape for name, shape in shapes.items() if len(shape.split()) >= 3}
@@ -274,7 +285,7 @@ def _outlines_of(net: Path) -> dict[str, str]:
 def _edge_element(element: Xml.Element, edit: EdgeEdit) -> Xml.Element:
     attributes = dict(element.attrib)
     attributes["numLanes"] = str(len(edit.lanes))
-    if edit.turned:
+    if edit.reversed:
         attributes["from"], attributes["to"] = attributes["to"], attributes["from"]
         if "shape" in attributes:
             attributes["shape"] = " ".join(reversed(attributes["shape"].split()))
@@ -291,16 +302,18 @@ def _edge_element(element: Xml.Element, edit: EdgeEdit) -> Xml.Element:
     return new
 
 
-def _goes_on(one: LaneEdit, other: LaneEdit) -> bool:
+def _continues_in(one: LaneEdit, other: LaneEdit) -> bool:
     """Whether a lane leads straight into another."""
     heading = _heading(one.shape_m[::-1]) + np.pi
     turn = (_heading(other.shape_m) - heading + np.pi) % (2 * np.pi) - np.pi
-    chord = heading + 0.5 * turn  # of a bend as much as of a straight road
+    chord = heading + 0.5 * turn  # fits bends as well as straight roads
     gap = other.shape_m[0] - one.shape_m[-1]
     along = gap[0] * np.cos(chord) + gap[1] * np.sin(chord)
     across = gap[1] * np.cos(chord) - gap[0] * np.sin(chord)
     reach = MEET_SHARE * min(one.width_m, other.width_m)
-    return bool(-5.0 <= along <= MEET_M and abs(across) <= reach and abs(turn) <= MEET_RAD)
+    return bool(
+        -BEGIN_BEFORE_M <= along <= MEET_M and abs(across) <= reach and abs(turn) <= MEET_RAD
+    )
 
 
 def _heading(line: NDArray[np.float64]) -> float:

@@ -1,4 +1,4 @@
-"""From the map frame to a network's own plane and back: conformal, and cheap in every step."""
+"""Converts coordinates between the map frame and a network's own projection, fast and conformal."""
 
 from __future__ import annotations
 
@@ -13,15 +13,23 @@ from geoorbit_ros.roadnet.errors import RoadNetworkError
 Complex = NDArray[np.complex128]
 
 DEGREE = 5
+"""Of the polynomial. Chosen: the error over some tens of kilometres stays below `MAX_ERROR_M`,
+which is checked for every network; a higher degree costs time in every step."""
 MAX_ERROR_M = 1e-3
+"""A network with a larger error is refused. Chosen: far below the errors of tracks (decimetres);
+larger admits networks too wide for one plane."""
+MARGIN_M = 200.0
+"""The polynomial holds this far beyond the network. Chosen: vehicles are placed beside it, too;
+larger fits the network itself a little less well."""
 _GRID = 9
+"""Points per side that the polynomial is fitted to. Chosen: 81 points for 6 coefficients."""
 
 
 class ConformalMap:
-    """One plane laid on another, both conformal, as a polynomial in x + iy.
+    """Converts points of one conformal plane to another, by a polynomial in x + iy.
 
     A map that keeps angles is an analytic function (Gauss 1822; Krueger 1912 uses the same
-    series for transverse Mercator), so that its derivative is the scale and the turn at a point.
+    series for transverse Mercator), so its derivative is the scale and the rotation at a point.
 
     Args:
         source: (N, 2) points.
@@ -56,7 +64,7 @@ class ConformalMap:
 
 
 class NetworkPlane:
-    """The way between the map frame at a datum and a SUMO network's coordinates.
+    """Converts between the map frame at a datum and a SUMO network's coordinates.
 
     Args:
         projection: PROJ definition from the network's `location`.
@@ -70,7 +78,7 @@ class NetworkPlane:
 
     Raises:
         RoadNetworkError: A projection that PROJ doesn't know or that keeps no angles, or a network
-            so large that the map frame's plane doesn't fit it.
+            so large that one plane doesn't fit it.
     """
 
     def __init__(
@@ -81,14 +89,13 @@ class NetworkPlane:
         datum: Datum,
         place: str,
     ) -> None:
-        # A margin, because vehicles are placed beside the network, too.
-        x = np.linspace(bounds[0] - 200.0, bounds[2] + 200.0, _GRID)
-        y = np.linspace(bounds[1] - 200.0, bounds[3] + 200.0, _GRID)
+        x = np.linspace(bounds[0] - MARGIN_M, bounds[2] + MARGIN_M, _GRID)
+        y = np.linspace(bounds[1] - MARGIN_M, bounds[3] + MARGIN_M, _GRID)
         grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
         shifted = grid - net_offset
         try:
-            way = Transformer.from_crs(CRS(projection), "EPSG:4326", always_xy=True)
-            longitude, latitude = way.transform(shifted[:, 0], shifted[:, 1], errcheck=True)
+            projected = Transformer.from_crs(CRS(projection), "EPSG:4326", always_xy=True)
+            longitude, latitude = projected.transform(shifted[:, 0], shifted[:, 1], errcheck=True)
         except ProjError as error:
             raise RoadNetworkError(
                 place, f"projection '{projection}'", "a PROJ definition such as +proj=utm +zone=16"

@@ -1,4 +1,4 @@
-"""The network's lanes inside a camera's view: what the lane detector is held against."""
+"""What a camera sees of a network: its view as a polygon, and the lanes inside."""
 
 from __future__ import annotations
 
@@ -12,11 +12,20 @@ from geoorbit_ros.roadnet.errors import RoadNetworkError
 from geoorbit_ros.roadnet.network import RoadNetwork
 
 PIXEL_SIGMA = 1.5
+"""1-sigma error of a box edge. Chosen: larger makes the view shorter, smaller longer."""
 MAX_SIGMA_M = 2.0
-"""Beyond, one and a half pixels are more than half a lane along the line of sight."""
+"""The view ends where `PIXEL_SIGMA` is more than this on the ground. Chosen: half a lane and a
+little along the line of sight; larger adds ground where lanes can't be told apart."""
 BORDER_SHARE = 0.01
-"""Boxes cut by the image border are not used (`calibration.box_projector`)."""
+"""Border of the image that is left out, as a share of its size: boxes that the border cuts are not
+used (`calibration.box_projector`)."""
 COLUMNS, ROWS = 33, 200
+"""Pixels at which the view is tested. Chosen: more make the polygon finer and slower."""
+SAMPLE_M = 1.0
+"""Between points of a reference lane. Chosen: bends of 30 m radius are drawn to 4 mm."""
+MIN_LENGTH_M = 20.0
+"""Shorter parts of lanes are left out. Chosen: a detected lane of that length says little about the
+next one; smaller adds pieces at the border of the view."""
 
 
 def view_polygon(
@@ -61,13 +70,6 @@ def inside(point_m: NDArray[np.float64], polygon_m: NDArray[np.float64]) -> NDAr
     return np.asarray(np.count_nonzero(crosses & (x < at), axis=1) % 2 == 1)
 
 
-SAMPLE_M = 1.0
-MIN_LENGTH_M = 20.0
-"""Of less, a camera can't tell a lane."""
-REACH_M = 1000.0
-"""A lane is followed this far over the ends of its edges."""
-
-
 def reference_lanes(network: RoadNetwork, view_m: NDArray[np.float64]) -> tuple[Lane, ...]:
     """The lanes that a camera sees, one for each physical lane.
 
@@ -77,11 +79,11 @@ def reference_lanes(network: RoadNetwork, view_m: NDArray[np.float64]) -> tuple[
 
     Args:
         network: The network, in the camera's own map frame (`load_network` with its datum).
-        view_m: (V, 2) polygon of what the camera sees, in that frame (`view.view_polygon`).
+        view_m: (V, 2) polygon of what the camera sees, in that frame (`view_polygon`).
 
     Returns:
         Lanes numbered from 1 in the network's order: centre line, borders and width as the
-        network has them, which says nothing about their true errors (`sigma_m` is NaN).
+        network has them; their errors are not known (`sigma_m` is NaN).
 
     Raises:
         RoadNetworkError: No lane of the network is in view.
@@ -134,12 +136,12 @@ def lane_chains(network: RoadNetwork) -> list[list[int]]:
     seen: set[int] = set()
     for lane in [k for k in range(len(network)) if k not in before] + list(range(len(network))):
         if lane in seen:
-            continue  # the second round finds circles, which begin nowhere
+            continue  # the second round finds closed chains, which have no beginning
         chain = [lane]
         while chain[-1] in after and after[chain[-1]] not in chain:
             chain.append(after[chain[-1]])
         seen.update(chain)
-        # A piece of a junction by itself is no lane.
+        # A chain of internal lanes alone is no lane of the road.
         if not all(network.internal[k] for k in chain):
             chains.append(chain)
     return sorted(chains, key=lambda c: min(k for k in c if not network.internal[k]))

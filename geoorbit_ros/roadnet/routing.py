@@ -1,4 +1,4 @@
-"""Along a network: from edge to edge, and from a place in a lane to the place some metres ahead."""
+"""Routes between edges, and positions some metres ahead of a position in a lane."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from geoorbit_ros.roadnet.network import RoadNetwork
 
 MAX_EDGES = 50
-"""No camera misses more edges between two places that it sees."""
+"""Longest route that is looked for. Chosen: larger takes longer where there is no route, smaller
+loses vehicles that pass many edges between two views."""
 
 
 class RouteFinder:
-    """RouteFinder between edges over edges that no camera saw.
+    """Finds routes between edges over edges that no camera saw.
 
     Args:
         network: The roads.
@@ -35,14 +36,14 @@ class RouteFinder:
         }
 
     def complete(self, edges: list[str]) -> list[str] | None:
-        """The edges with those between them; None where no way leads on."""
-        way = edges[:1]
+        """The edges with those between them; None where no route leads on."""
+        route = edges[:1]
         for target in edges[1:]:
-            between = self._shortest(way[-1], target)
+            between = self._shortest(route[-1], target)
             if between is None:
                 return None
-            way += [edge for edge in between if edge not in self._internal]
-        return way
+            route += [edge for edge in between if edge not in self._internal]
+        return route
 
     def branches(self, edge: str) -> dict[str, int]:
         """The edges after one, beyond the junction, and by how many lanes each is reached."""
@@ -61,19 +62,27 @@ class RouteFinder:
         waiting = deque([[begin]])
         seen = {begin}
         while waiting:
-            way = waiting.popleft()
-            if way[-1] == end:
-                return way[1:]
-            if len(way) <= MAX_EDGES:
-                for edge in sorted(self._after.get(way[-1], set()) - seen):
+            route = waiting.popleft()
+            if route[-1] == end:
+                return route[1:]
+            if len(route) <= MAX_EDGES:
+                for edge in sorted(self._after.get(route[-1], set()) - seen):
                     seen.add(edge)
-                    waiting.append([*way, edge])
+                    waiting.append([*route, edge])
         return None
 
 
 @dataclass(frozen=True, slots=True)
-class LanePlace:
-    """A place in the network: lane number, metres along it, point and direction there."""
+class LanePosition:
+    """A position in the network.
+
+    Attributes:
+        lane: Number of the lane.
+        arc_m: Metres along it.
+        xy: (2,) the point, in the map frame.
+        heading_rad: The lane's direction there, counter-clockwise from east.
+        ended: Whether the network ends before it.
+    """
 
     lane: int
     arc_m: float
@@ -82,26 +91,26 @@ class LanePlace:
     ended: bool
 
 
-def place_ahead(
+def position_ahead(
     network: RoadNetwork,
     lane: int,
     arc_m: float,
     offset_m: float,
     towards: NDArray[np.float64] | None = None,
-) -> LanePlace:
-    """The place at `arc_m` of a lane, which may lie beyond its end.
+) -> LanePosition:
+    """The position at `arc_m` of a lane, which may lie beyond its end in a lane after it.
 
-    Where lanes part, the way is the one that ends nearest to `towards`; without it, the first.
+    Where lanes part, the one that leads nearest to `towards` is taken; without it, the first.
 
     Args:
         network: The network.
-        lane: Where the way begins.
+        lane: The lane.
         arc_m: Metres from the lane's beginning.
         offset_m: Metres to the left of the middle.
-        towards: (2,) point that the place should be near.
+        towards: (2,) point that the position should be near.
 
     Returns:
-        The place; `ended` where the network ends before it, which then is beyond its end.
+        The position; where the network ends before it (`ended`), straight on beyond the end.
     """
     while arc_m > network.length_m[lane] and network.successors[lane]:
         arc_m -= float(network.length_m[lane])
@@ -109,7 +118,7 @@ def place_ahead(
         if towards is None or len(choice) == 1:
             lane = choice[0]
         else:
-            ends = [place_ahead(network, c, arc_m, 0.0, towards).xy for c in choice]
+            ends = [position_ahead(network, c, arc_m, 0.0, towards).xy for c in choice]
             lane = choice[int(np.argmin([np.hypot(*(end - towards)) for end in ends]))]
     line, arc = network.line(lane), network.arc(lane)
     k = min(max(int(np.searchsorted(arc, arc_m, side="right")) - 1, 0), len(line) - 2)
@@ -117,4 +126,4 @@ def place_ahead(
     unit = step / max(float(np.hypot(*step)), 1e-9)
     xy = line[k] + (arc_m - arc[k]) * unit + offset_m * np.array([-unit[1], unit[0]])
     heading = float(np.arctan2(unit[1], unit[0]))
-    return LanePlace(lane, arc_m, xy, heading, bool(arc_m > network.length_m[lane]))
+    return LanePosition(lane, arc_m, xy, heading, bool(arc_m > network.length_m[lane]))

@@ -12,7 +12,7 @@ from geoorbit_ros.core.tables import FLAG_PREDICTED, TRACK_DTYPE
 from geoorbit_ros.mapcheck.driven_lanes import DrivenNetwork
 from geoorbit_ros.roadnet.lane_index import RADIUS_M
 from geoorbit_ros.roadnet.network import NO_LANE, RoadNetwork
-from geoorbit_ros.roadnet.routing import place_ahead
+from geoorbit_ros.roadnet.routing import position_ahead
 from geoorbit_ros.twin.simulation import Moves, Simulation, States
 from geoorbit_ros.twin.vehicles import TYPES, Vehicles
 
@@ -166,7 +166,7 @@ class Placement:
         ahead = rows["arc"] + 0.5 * rows["sim_length"]
         over = (lane != NO_LANE) & (ahead > self._network.length_m[np.maximum(lane, 0)])
         for k in np.flatnonzero(over).tolist():
-            place = place_ahead(self._network, int(lane[k]), float(ahead[k]), 0.0, front[k])
+            place = position_ahead(self._network, int(lane[k]), float(ahead[k]), 0.0, front[k])
             lane[k], ahead[k] = (NO_LANE if place.ended else place.lane), place.arc_m
         return np.asarray(lane, dtype=np.int64), ahead
 

@@ -16,7 +16,7 @@ from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.mapcheck.alignment import Alignment
 from geoorbit_ros.mapcheck.driven_lanes import DrivenNetwork
 from geoorbit_ros.roadnet.network import NO_LANE, RoadNetwork
-from geoorbit_ros.roadnet.routing import place_ahead
+from geoorbit_ros.roadnet.routing import position_ahead
 from geoorbit_ros.twin.camera_tracks import CameraTracks
 from geoorbit_ros.twin.fusion import Fusion
 from geoorbit_ros.twin.lane_changes import MAX_ACROSS_MPS
@@ -167,7 +167,7 @@ class Synchronizer:
             if row["lane"] == NO_LANE or speed < MIN_SPEED_MPS:
                 continue  # straight on, as the fusion has it
             arc_m = float(row["arc"]) + speed * step_s
-            place = place_ahead(self._network, int(row["lane"]), arc_m, float(row["offset"]))
+            place = position_ahead(self._network, int(row["lane"]), arc_m, float(row["offset"]))
             if place.ended:
                 self._let_leave(np.array([k]))
                 continue
