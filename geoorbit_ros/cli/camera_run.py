@@ -22,7 +22,7 @@ from geoorbit_ros.lanes.mapping.mapper import LaneMapper
 from geoorbit_ros.lanes.pipeline import StampedRows
 from geoorbit_ros.report.image_overlay import ImageOverlay
 from geoorbit_ros.storage.frames.source import FrameSource, StampedImage
-from geoorbit_ros.storage.video_writer import VideoFile
+from geoorbit_ros.storage.frames.video_writer import VideoWriter
 from geoorbit_ros.tracking.parameters import TrackerParameters
 from geoorbit_ros.tracking.tracker import Tracker
 
@@ -153,7 +153,7 @@ class CameraRun:
         with ExitStack() as files:
             writer = None
             if video:
-                writer = files.enter_context(closing(VideoFile(video, fps, self.image_size)))
+                writer = files.enter_context(closing(VideoWriter(video, fps, self.image_size)))
             overlay = ImageOverlay(self.homography)
             for seen in track_images(chain([first], images), self.detector, tracker):
                 self.seen.append((seen.stamp_ns, seen.detections, seen.tracks))

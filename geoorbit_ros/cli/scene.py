@@ -109,7 +109,7 @@ def render(
     from geoorbit_ros.rendering.rendered_scene import render_scene
     from geoorbit_ros.scenes.output import check_new_folder
     from geoorbit_ros.scenes.scene import load_scene
-    from geoorbit_ros.storage.video_writer import check_suffix, is_video
+    from geoorbit_ros.storage.frames.video_writer import check_suffix, is_video
 
     description = load_scene(scene)
     conditions = Conditions(light.value, rain, shake, clouds)

@@ -103,6 +103,28 @@ def frames_from_rows(stamp_ns: NDArray[np.int64], rows: NDArray[np.void]) -> Fra
     return Frames(stamps, np.append(start, len(rows)).astype(np.int64), rows[order])
 
 
+def first_bad_box(rows: NDArray[np.void]) -> int | None:
+    """Index of the first row with a number that is not finite or a negative size."""
+    good = (rows["width"] >= 0) & (rows["height"] >= 0)
+    for name in ("x", "y", "width", "height", "score"):
+        good &= np.isfinite(rows[name])
+    return None if good.all() else int(np.argmin(good))
+
+
+def first_repeated_id(frames: Frames) -> int | None:
+    """Index of the first row whose `track_id` an earlier row of the same frame has.
+
+    An id names one vehicle: twice in a frame, it would cut every track in two.
+    """
+    frame = np.repeat(np.arange(len(frames)), np.diff(frames.offset)) << 32
+    key = frame + frames.rows["track_id"]
+    if (np.diff(np.sort(key)) > 0).all():  # a plain sort is several times faster than argsort
+        return None
+    order = np.argsort(key, kind="stable")
+    again = np.flatnonzero(np.diff(key[order]) == 0)
+    return int(order[again + 1].min())
+
+
 UNKNOWN_CLASS = -1
 """A tracker that was told no class: its tracks are taken for vehicles."""
 CAR = 2

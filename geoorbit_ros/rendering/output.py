@@ -21,9 +21,9 @@ from geoorbit_ros.scenes.output import (
     check_new_folder,
 )
 from geoorbit_ros.storage.atomic import atomic_output
+from geoorbit_ros.storage.frames.video_writer import VideoWriter, new_video
 from geoorbit_ros.storage.mot_text import write_mot
 from geoorbit_ros.storage.track_csv import write_track_csv
-from geoorbit_ros.storage.video_writer import VideoFile, new_video
 
 VIDEO, MOT = "video.mp4", "tracks.txt"
 
@@ -71,7 +71,7 @@ def write_rendered_scene(
     name = rendered.scene.name if camera_id is None else camera_id
     with atomic_output(out_dir) as folder:
         folder.mkdir()
-        video = VideoFile(folder / VIDEO, rendered.fps, rendered.image_size)
+        video = VideoWriter(folder / VIDEO, rendered.fps, rendered.image_size)
         try:
             for frame in rendered:
                 video.write(frame.image)

@@ -159,7 +159,7 @@ def messages(reader: Reader, topics: Collection[str] | None = None) -> Iterator[
 
 
 def _refuse_short_database(file: Path) -> None:
-    """SQLite reads a last page that is cut off as if it ended in zeros; its header knows better.
+    """SQLite reads a last page that is cut off as if it ended in zeros; the header has its size.
 
     Raises:
         ValueError: The file is shorter than the header says

@@ -1,4 +1,4 @@
-"""Columns of numbers out of a CSV file: read in bulk, blamed to the cell."""
+"""Columns of numbers out of a CSV file: read in bulk; errors name the cell."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class CsvColumns:
     values: Mapping[str, NDArray[Any]]
 
     def fail(self, row: int, column: str, expected: str, found: str = "") -> NoReturn:
-        """Blame row `row` (from 0); `found` defaults to the text in the file."""
+        """Raise an error at row `row` (from 0); `found` defaults to the text in the file."""
         for k, (number, cells) in enumerate(_data_lines(self.path, self.header_line)):
             if k == row:
                 text = found or _quoted(cells[self.names.index(column)])
@@ -77,7 +77,7 @@ def read_columns(path: str | Path, types: Mapping[str, pa.DataType], what: str) 
     except pa.ArrowInvalid as error:
         if next(_data_lines(place, header_line), None) is None:
             raise InputFileError(place, *_NO_ROW) from None
-        _blame_line(place, names, header_line, types)
+        _name_fault(place, names, header_line, types)
         raise InputFileError(place, str(error).split("\n")[0], expected) from None
     columns = CsvColumns(
         place, names, header_line, {name: table[name].to_numpy() for name in types}
@@ -118,7 +118,7 @@ def _data_lines(place: str, header_line: int) -> Iterator[tuple[int, list[str]]]
                 yield number, next(csv.reader([line.replace("\0", "�").rstrip("\r\n")]))
 
 
-def _blame_line(
+def _name_fault(
     place: str, names: tuple[str, ...], header_line: int, types: Mapping[str, pa.DataType]
 ) -> None:
     """Find the line that the bulk reader refused; cell by cell, so only after a refusal."""

@@ -20,17 +20,25 @@ import pyarrow.csv as pacsv
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import InputFileError, ParameterError, TableError
-from geoorbit_ros.core.tables import DETECTION_DTYPE, PIXEL_TRACK_DTYPE, Frames
+from geoorbit_ros.core.tables import (
+    DETECTION_DTYPE,
+    PIXEL_TRACK_DTYPE,
+    Frames,
+    first_bad_box,
+)
 from geoorbit_ros.storage.atomic import atomic_output
-from geoorbit_ros.storage.track_checks import first_bad_box
 
 COLUMNS = ("frame", "id", "x", "y", "w", "h", "conf", "class", "-1", "-1")
 _LAYOUT = "lines " + ",".join(COLUMNS)
 _MIN_COLUMNS = 7
 """Older files end after the confidence: their class is unknown (-1)."""
 _MAX_FRAME = 2**31 - 1
+"""Largest frame number: an int32, as other tools read it."""
 _MAX_PIXEL = 1e6
+"""Largest coordinate. Chosen: a hundred times the widest image; a float32 is exact to 0.06 px
+there."""
 _MAX_FPS = 1000.0
+"""Largest frame rate. Chosen: no camera on a pole is faster; more is a period in milliseconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,11 +196,11 @@ def _columns(place: str) -> list[NDArray[np.float64]]:
             place, read_options=pacsv.ReadOptions(column_names=names), convert_options=options
         )
     except (pa.ArrowInvalid, UnicodeDecodeError) as error:
-        _blame(place, count)
+        _name_fault(place, count)
         raise InputFileError(place, str(error).split("\n")[0], _LAYOUT) from None
     values = [table[name].to_numpy() for name in wanted]
     if not all(np.isfinite(column).all() for column in values):
-        _blame(place, count)
+        _name_fault(place, count)
     if len(values) < len(COLUMNS) - 2:
         values.append(np.full(len(values[0]), -1.0))
     return values
@@ -229,7 +237,7 @@ def _data_lines(place: str) -> Iterator[tuple[int, list[str]]]:
                 yield number, line.strip("\r\n").split(",")
 
 
-def _blame(place: str, count: int) -> None:
+def _name_fault(place: str, count: int) -> None:
     """Find the line that the bulk reader refused; cell by cell, so only after a refusal."""
     for number, cells in _data_lines(place):
         if len(cells) != count:
@@ -237,7 +245,7 @@ def _blame(place: str, count: int) -> None:
             raise InputFileError(f"{place}, line {number}", f"{len(cells)} values", expected)
         for name, cell in zip(COLUMNS[:-2], cells, strict=False):
             if not _is_finite(cell):
-                _refuse(place, number, name, cell, "a finite number")
+                _raise_for(place, number, name, cell, "a finite number")
 
 
 def _check(path: str | Path, name: str, good: NDArray[np.bool_], expected: str) -> None:
@@ -246,11 +254,11 @@ def _check(path: str | Path, name: str, good: NDArray[np.bool_], expected: str) 
     bad = int(np.argmin(good))
     for k, (number, cells) in enumerate(_data_lines(str(path))):
         if k == bad:
-            _refuse(str(path), number, name, cells[COLUMNS.index(name)], expected)
+            _raise_for(str(path), number, name, cells[COLUMNS.index(name)], expected)
     raise InputFileError(f"{path}, box {bad + 1}", "a file that changed", expected)
 
 
-def _refuse(place: str, number: int, name: str, cell: str, expected: str) -> NoReturn:
+def _raise_for(place: str, number: int, name: str, cell: str, expected: str) -> NoReturn:
     text = repr(cell if len(cell) < 60 else cell[:60] + "...")
     raise InputFileError(f"{place}, line {number}, column '{name}'", text, expected)
 

@@ -1,4 +1,4 @@
-"""When each message of a recording is due, at any speed. Knows no clock: it is told the time."""
+"""When each message of a recording is due, at any speed; the caller tells the time."""
 
 from __future__ import annotations
 
@@ -109,6 +109,7 @@ _STAMP = struct.Struct("<iI")
 _STAMP_AT = 4
 """A header's stamp comes first, after the encapsulation header (OMG DDS-RTPS 2.5, section 10)."""
 _LITTLE_ENDIAN = 1
+"""Second byte of the encapsulation header, where numbers are little-endian."""
 
 
 def endless(read: Callable[[], Iterable[BagMessage]]) -> Iterator[BagMessage]:

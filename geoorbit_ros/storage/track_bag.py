@@ -29,7 +29,12 @@ from geoorbit_ros.core.errors import (
     ParameterError,
     TableError,
 )
-from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE, Frames
+from geoorbit_ros.core.tables import (
+    PIXEL_TRACK_DTYPE,
+    Frames,
+    first_bad_box,
+    first_repeated_id,
+)
 from geoorbit_ros.storage.atomic import atomic_output
 from geoorbit_ros.storage.bag_reader import (
     BagInfo,
@@ -40,16 +45,16 @@ from geoorbit_ros.storage.bag_reader import (
     open_bag,
 )
 from geoorbit_ros.storage.pointcloud2 import MESSAGE_TYPE, decode_table, encode_table
-from geoorbit_ros.storage.track_checks import first_bad_box, first_twin
 
 __all__ = ["TrackBag", "describe_bag", "read_track_bag", "write_track_bag"]
 
 _TOPIC = "tracks_px"
-_BAG_VERSION: Literal[9] = 9  # rosbag2 of Jazzy
+_BAG_VERSION: Literal[9] = 9
+"""Metadata version of rosbag2 in Jazzy."""
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-_FOREVER = QosTime(9223372036, 854775807)  # RMW_DURATION_INFINITE
+_FOREVER = QosTime(9223372036, 854775807)
+"""RMW_DURATION_INFINITE."""
 _QOS = Qos(
-    # Reliable, so that `ros2 bag play` reaches subscribers that ask for it as well as others.
     QosHistory.KEEP_LAST,
     100,
     QosReliability.RELIABLE,
@@ -60,6 +65,7 @@ _QOS = Qos(
     _FOREVER,
     False,
 )
+"""Reliable, so that `ros2 bag play` reaches subscribers that ask for it as well as others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +178,7 @@ def _find_topic(info: BagInfo, camera_id: str | None) -> str:
 def _check_boxes(frames: Frames, place: str) -> None:
     for row, expected in (
         (first_bad_box(frames.rows), "finite numbers, sizes not negative"),
-        (first_twin(frames), "every id at most once in a message"),
+        (first_repeated_id(frames), "every id at most once in a message"),
     ):
         if row is not None:
             message = int(np.searchsorted(frames.offset, row, side="right"))

@@ -17,10 +17,15 @@ import pyarrow.csv as pacsv
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import TableError
-from geoorbit_ros.core.tables import FLAG_GROUND_POINT, PIXEL_TRACK_DTYPE, Frames
+from geoorbit_ros.core.tables import (
+    FLAG_GROUND_POINT,
+    PIXEL_TRACK_DTYPE,
+    Frames,
+    first_bad_box,
+    first_repeated_id,
+)
 from geoorbit_ros.storage.atomic import atomic_output
 from geoorbit_ros.storage.csv_columns import CsvColumns, read_columns
-from geoorbit_ros.storage.track_checks import first_bad_box, first_twin
 
 _TYPES = {
     "id": pa.float64(),  # trackers write '12' and '12.0'; float64 takes both and is exact
@@ -81,10 +86,10 @@ def read_track_csv(path: str | Path, image_size: tuple[int, int] | None = None) 
     rows["flags"] = np.where(ground, FLAG_GROUND_POINT, 0)
     offset = np.append(start, len(rows)).astype(np.int64)
     frames = Frames(stamp_ns[start], offset, rows)
-    twin = first_twin(frames)
-    if twin is not None:
-        found = f"id {rows['track_id'][twin]} twice in one frame"
-        columns.fail(twin, "id", "every id at most once in a frame", found)
+    again = first_repeated_id(frames)
+    if again is not None:
+        found = f"id {rows['track_id'][again]} twice in one frame"
+        columns.fail(again, "id", "every id at most once in a frame", found)
     return frames
 
 

@@ -71,7 +71,7 @@ def read_yaml(file: Path, model: type[Model], kind: str) -> Model:
     try:
         text = file.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "no text in UTF-8"
+        reason = (isinstance(error, OSError) and error.strerror) or "no text in UTF-8"
         raise InputFileError(str(file), reason.lower(), f"a {kind} file in YAML") from error
     try:
         return model.model_validate(yaml.safe_load(text))
@@ -89,9 +89,10 @@ def _keys(model: type[BaseModel]) -> list[str]:
 
 
 def _broken_yaml(error: yaml.YAMLError, file: str, kind: str) -> InputFileError:
-    mark = getattr(error, "problem_mark", None)
+    mark = problem = None
+    if isinstance(error, yaml.MarkedYAMLError):
+        mark, problem = error.problem_mark, error.problem
     place = f"{file}, line {mark.line + 1}" if mark else file
-    problem = getattr(error, "problem", None)
     found = f"broken YAML ({problem})" if problem else "broken YAML"
     return InputFileError(place, found, f"a {kind} file")
 

@@ -17,12 +17,17 @@ from geoorbit_ros.core.tables import TRACK_DTYPE, Frames
 from geoorbit_ros.storage.database.schema import (
     MAX_BATCH_SPAN_NS,
     connect,
+    decode_batch,
     faults_as_sentences,
 )
-from geoorbit_ros.storage.database.track_batch import decode_batch
 
 _PAGE_BATCHES = 16
-_MIN_NS, _MAX_NS = -(2**62), 2**62  # a century around 1970 that leaves room to add a span
+"""Batches read at once: about 13 s of one camera. Chosen: more hold the lock longer and take
+memory."""
+_MIN_NS = -(2**62)
+"""Earlier than any stamp, with room to subtract a batch's span: 146 years before 1970."""
+_MAX_NS = 2**62
+"""Later than any stamp: 146 years after 1970."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,10 @@
-"""The trajectory database's SQLite schema: opening, versions, faults as sentences."""
+"""The trajectory database's layout: SQLite schema, versions, faults as sentences, track batches.
+
+A batch is about a second of ground tracks as one compressed block of bytes: stamps (int64), rows
+per frame (uint32) and rows (`TRACK_DTYPE`), each with its bytes transposed so that the slowly
+changing ones stand together (the shuffle filter of HDF5), then zlib. On real tracks it takes 30
+bytes per row of 48, where a SQLite row per vehicle takes 112.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +13,24 @@ import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import InputFileError
+from geoorbit_ros.core.tables import TRACK_DTYPE, Frames
 
-APPLICATION_ID = 0x47654F72  # "GeOr", as file(1) and PRAGMA application_id show it
+APPLICATION_ID = 0x47654F72
+"""ASCII "GeOr", as file(1) and PRAGMA application_id show it."""
 MAX_BATCH_SPAN_NS = 1_000_000_000
 """No batch of frames is longer: readers rely on it to find the batch that holds a time."""
 BUSY_TIMEOUT_S = 5.0
+"""How long to wait for another process's transaction. Chosen: those of this package take
+milliseconds; longer keeps a node waiting behind a stuck process."""
 _WAL_LIMIT_BYTES = 16_000_000
+"""Size to which the write-ahead log is cut after a checkpoint. Chosen: smaller is cut and grown
+again every few seconds, larger fills the disk."""
 _WRITER_CACHE_KB = 256
 """Writing at the end touches few pages. SQLite's 2 MB would be filled with old ones over minutes,
 in each of a thousand recorders."""
@@ -156,3 +172,45 @@ def _migrate(connection: sqlite3.Connection, migrations: Sequence[str]) -> None:
     except BaseException:
         connection.execute("ROLLBACK")
         raise
+
+
+_STAMP = np.dtype("<i8")
+_COUNT = np.dtype("<u4")
+_LEVEL = 1
+"""Of zlib. Measured: level 6 takes half as long again for 3 % less."""
+
+
+def encode_batch(stamp_ns: Sequence[int], tables: Sequence[NDArray[np.void]]) -> bytes:
+    """Pack one `TRACK_DTYPE` table per stamp."""
+    return zlib.compress(
+        _transposed(np.array(stamp_ns, _STAMP))
+        + _transposed(np.array([len(table) for table in tables], _COUNT))
+        + _transposed(np.concatenate(tables)),
+        _LEVEL,
+    )
+
+
+def decode_batch(data: bytes, frames: int, rows: int) -> Frames:
+    """Unpack a batch of `frames` stamps and `rows` rows.
+
+    Raises:
+        ValueError, zlib.error: Bytes that are no such batch.
+    """
+    raw = np.frombuffer(zlib.decompress(data), np.uint8)
+    ends = np.cumsum([frames * _STAMP.itemsize, frames * _COUNT.itemsize])
+    if len(raw) != ends[1] + rows * TRACK_DTYPE.itemsize:
+        raise ValueError(f"{len(raw)} bytes for {frames} frames of {rows} rows")
+    stamp, count, table = np.split(raw, ends)
+    offset = np.zeros(frames + 1, np.int64)
+    np.cumsum(_restored(count, _COUNT), out=offset[1:])
+    if offset[-1] != rows:
+        raise ValueError(f"frames of {offset[-1]} rows instead of {rows}")
+    return Frames(_restored(stamp, _STAMP), offset, _restored(table, TRACK_DTYPE))
+
+
+def _transposed(values: NDArray[Any]) -> bytes:
+    return values.view(np.uint8).reshape(len(values), values.dtype.itemsize).T.tobytes()
+
+
+def _restored(raw: NDArray[np.uint8], dtype: np.dtype[Any]) -> NDArray[Any]:
+    return np.ascontiguousarray(raw.reshape(dtype.itemsize, -1).T).view(dtype).ravel()

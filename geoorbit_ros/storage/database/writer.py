@@ -15,16 +15,18 @@ from numpy.typing import NDArray
 from geoorbit_ros.core.errors import InputFileError, MessageError, TableError
 from geoorbit_ros.core.tables import TRACK_DTYPE
 from geoorbit_ros.storage.database.reader import CameraContent, TrajectoryReader
-from geoorbit_ros.storage.database.schema import faults_as_sentences
-from geoorbit_ros.storage.database.track_batch import encode_batch
+from geoorbit_ros.storage.database.schema import encode_batch, faults_as_sentences
 
 __all__ = ["COMMIT_PERIOD_S", "CameraContent", "TrajectoryDatabase", "TrajectoryReader"]
 
 COMMIT_PERIOD_S = 0.8
 """Oldest uncommitted frame, in wall time and in data time: a kill costs less than a second."""
-_SPAN_NS = int(COMMIT_PERIOD_S * 1e9)  # below MAX_SPAN_NS of the schema
+_SPAN_NS = int(COMMIT_PERIOD_S * 1e9)
+"""Longest batch, below `MAX_BATCH_SPAN_NS` of the schema."""
 _MIN_NS = -(2**62)
+"""Earlier than any stamp."""
 _PRUNE_STEP = 64
+"""Batches deleted in one call of `prune`. Chosen: takes milliseconds; more hold up the frames."""
 
 
 @dataclass(slots=True)

@@ -1,4 +1,4 @@
-"""Reads a source in a thread of its own, so that a camera never waits for whoever takes frames."""
+"""Reads a source in a thread of its own, so that a camera never waits for the frames to be used."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ from collections.abc import Callable, Iterator
 from geoorbit_ros.storage.frames.source import FrameSource, StampedImage
 
 _MAX_LATE_S = 1.0
-"""After a longer hold-up (a suspended process), time goes on from there without a burst."""
+"""After a longer hold-up (a suspended process), time goes on from there without a burst. Chosen:
+shorter loses time on a busy machine, longer sends larger bursts."""
 _MAX_WAIT_S = 5.0
-"""Longer silences in a recording are cut to this."""
+"""Longer silences in a recording are cut to this. Chosen: long enough for a gap in the traffic."""
 _EARLY_RATIO = 0.25
-"""Share of the period by which a frame may come early, so that jitter drops none at full rate."""
+"""Share of the period by which a frame may come early, so that jitter drops none at full rate.
+Chosen: larger lets frames come unevenly."""
 
 
 class Pace:
@@ -82,7 +84,7 @@ class Thinning:
 
 STOP_TIMEOUT_S = 2.0
 """How long `stop` waits for a source that is inside a system call. Its thread is a daemon: it ends
-with the call, or with the process."""
+with the call, or with the process. Chosen: longer holds up the end of the node."""
 
 
 class FrameFeed:
@@ -102,7 +104,7 @@ class FrameFeed:
 
     Attributes:
         captured: Frames read so far.
-        dropped: Frames dropped because nobody took them in time.
+        dropped: Frames dropped because they were not taken in time.
         thinning: Counts what `max_fps` leaves out.
         error: What ended the reading, if it was not the end of the recording.
     """
@@ -169,7 +171,7 @@ class FrameFeed:
                     self._put((stamp_ns + self._shift_ns, image))
                 if self._stopping.is_set():
                     break
-        except Exception as error:  # handed to whoever watches the feed
+        except Exception as error:  # kept for the caller, who asks for it
             self.error = error
         finally:
             with self._changed:
@@ -212,13 +214,14 @@ class FrameFeed:
 
 
 TAKE_TIMEOUT_S = 0.2
+"""Time between two looks whether the source was closed. Chosen: longer ends later."""
 
 
 class LiveFrames(FrameSource):
-    """Frames of a stream, stamped when they arrive, not when somebody has time for them.
+    """Frames of a stream, stamped when they arrive, not when they are taken.
 
-    What comes while its taker is busy is left out, all but the newest few. Whoever iterates again
-    goes on where the last one stopped: the stream is opened once.
+    What comes while the caller is busy is left out, all but the newest few. A second iteration goes
+    on where the first stopped: the stream is opened once.
 
     Args:
         source: A live source, which this closes.

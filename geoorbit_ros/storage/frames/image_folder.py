@@ -8,8 +8,8 @@ from pathlib import Path
 
 import cv2
 
-from geoorbit_ros.storage.frames.pixels import FrameCheck
 from geoorbit_ros.storage.frames.source import (
+    FrameCheck,
     FrameSource,
     FrameSourceError,
     SourceOptions,

@@ -11,8 +11,8 @@ from urllib.parse import urlsplit, urlunsplit
 import cv2
 from numpy.typing import NDArray
 
-from geoorbit_ros.storage.frames.pixels import FrameCheck
 from geoorbit_ros.storage.frames.source import (
+    FrameCheck,
     FrameSource,
     FrameSourceError,
     SourceOptions,
@@ -21,8 +21,12 @@ from geoorbit_ros.storage.frames.source import (
 from geoorbit_ros.storage.frames.video_file import open_capture
 
 SCHEMES = ("rtsp", "rtsps", "http", "https", "rtmp", "udp", "srt", "tcp")
-FIRST_WAIT_S, LONGEST_WAIT_S = 0.5, 30.0
-"""Back-off between two attempts: doubled every time, and back to the first after a frame."""
+FIRST_WAIT_S = 0.5
+"""Pause before the first attempt to open a lost stream again; doubled every time, and back to this
+after a frame. Chosen: shorter disturbs a camera that starts."""
+LONGEST_WAIT_S = 30.0
+"""Longest such pause. Chosen: longer misses traffic when the camera is back, shorter floods the
+network of a camera that is gone."""
 
 
 class Stream(FrameSource):
@@ -57,7 +61,7 @@ class Stream(FrameSource):
                 usable = check.usable(image)
                 if usable is not None:
                     yield last_ns, usable
-                seen_s = time.monotonic()  # the taker's time is not the stream's
+                seen_s = time.monotonic()  # the time that the caller took is not the stream's
             if self._closed.is_set():
                 return
             silent_s = time.monotonic() - seen_s

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import cv2
 
-from geoorbit_ros.storage.frames.pixels import FrameCheck
 from geoorbit_ros.storage.frames.source import (
+    FrameCheck,
     FrameSource,
     FrameSourceError,
     SourceOptions,
@@ -34,9 +34,11 @@ def open_capture(name: str, settings: Sequence[int] = ()) -> cv2.VideoCapture:
     return cv2.VideoCapture(name, cv2.CAP_FFMPEG, list(settings))
 
 
-_COMPLETE_RATIO, _COMPLETE_SLACK_S = 0.9, 1.0
-"""A video that ends earlier than this before its announced end breaks off. Containers round, and
-some only estimate their length."""
+_COMPLETE_RATIO = 0.9
+"""A video with less than this share of its announced length, less `_COMPLETE_SLACK_S`, breaks off.
+Chosen: containers round, and some only estimate their length."""
+_COMPLETE_SLACK_S = 1.0
+"""See `_COMPLETE_RATIO`: for short videos."""
 _EXPECTED = "a video that FFmpeg can decode (MP4, MKV, AVI, WebM, …)"
 
 

@@ -22,9 +22,9 @@ from geoorbit_ros.rendering.rendered_scene import (
 )
 from geoorbit_ros.scenes.scene import load_scene
 from geoorbit_ros.scenes.simulate import START_NS, simulate
+from geoorbit_ros.storage.frames.video_writer import new_video
 from geoorbit_ros.storage.mot_text import read_mot_tracks
 from geoorbit_ros.storage.track_csv import read_track_csv
-from geoorbit_ros.storage.video_writer import new_video
 
 SIZE = (640, 360)
 NAMES = ["calibration.csv", "tracks.csv", "tracks.txt", "truth.geojson", "video.mp4"]

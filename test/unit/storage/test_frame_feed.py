@@ -1,4 +1,4 @@
-"""The thread between a camera and whoever takes its frames, and the clockwork it follows."""
+"""The thread between a camera and the caller that takes its frames, and its pace."""
 
 import threading
 from collections.abc import Iterator
@@ -212,7 +212,7 @@ def test_live_frames_keep_their_time_of_arrival_while_the_taker_is_busy() -> Non
     assert first[0] // PERIOD_NS < rest[0]
 
 
-def test_whoever_iterates_live_frames_again_goes_on() -> None:
+def test_a_second_iteration_of_live_frames_goes_on() -> None:
     class Counted(Numbered):
         opened = 0
 

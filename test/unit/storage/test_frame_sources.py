@@ -14,8 +14,7 @@ from mjpeg_server import MjpegServer, grey_image
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.storage.frames import stream
 from geoorbit_ros.storage.frames.open_source import open_frame_source
-from geoorbit_ros.storage.frames.pixels import to_bgr8
-from geoorbit_ros.storage.frames.source import START_NS, FrameSourceError, SourceOptions
+from geoorbit_ros.storage.frames.source import START_NS, FrameSourceError, SourceOptions, to_bgr8
 
 FPS = 20.0
 LEVELS = range(10, 250, 20)

@@ -15,8 +15,13 @@ from made_frames import assert_same, ground_frames, steady_frames
 
 from geoorbit_ros.core.errors import InputFileError, MessageError, ParameterError, TableError
 from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE, TRACK_DTYPE, Frames
-from geoorbit_ros.storage.database.schema import MAX_BATCH_SPAN_NS, MIGRATIONS, connect
-from geoorbit_ros.storage.database.track_batch import decode_batch, encode_batch
+from geoorbit_ros.storage.database.schema import (
+    MAX_BATCH_SPAN_NS,
+    MIGRATIONS,
+    connect,
+    decode_batch,
+    encode_batch,
+)
 from geoorbit_ros.storage.database.writer import TrajectoryDatabase, TrajectoryReader
 
 FRAMES = steady_frames(200, 5, TRACK_DTYPE, start_ns=10**18)  # 6.6 s

@@ -18,7 +18,7 @@ CODECS = MappingProxyType({".mp4": "mp4v", ".avi": "MJPG"})
 """What OpenCV's own wheels can encode: MPEG-4 part 2, and a JPEG per frame. They hold no H.264."""
 
 
-class VideoFile:
+class VideoWriter:
     """An open video.
 
     Args:
@@ -39,7 +39,7 @@ class VideoFile:
             raise InputFileError(str(path), found, "an OpenCV that writes video")
 
     def write(self, image: NDArray[np.uint8]) -> None:
-        """Add a picture (H, W, 3) blue, green, red."""
+        """Add an image (H, W, 3) blue, green, red."""
         self._writer.write(image)
 
     def close(self) -> None:
@@ -63,15 +63,15 @@ def check_suffix(path: Path) -> None:
 
 
 @contextmanager
-def new_video(path: str | Path, fps: float, image_size: tuple[int, int]) -> Iterator[VideoFile]:
+def new_video(path: str | Path, fps: float, image_size: tuple[int, int]) -> Iterator[VideoWriter]:
     """A video that is there when the block ends, and not at all when it fails.
 
     Raises:
-        InputFileError: See `VideoFile`; or nothing can be written there.
+        InputFileError: See `VideoWriter`; or nothing can be written there.
     """
     check_suffix(Path(path))
     with atomic_output(path) as temporary:
-        video = VideoFile(temporary, fps, image_size)
+        video = VideoWriter(temporary, fps, image_size)
         try:
             yield video
         finally:
