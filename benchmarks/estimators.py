@@ -26,7 +26,7 @@ from geoorbit_ros.calibration.control_points import read_control_points
 from geoorbit_ros.calibration.homography import Homography, fit_homography
 from geoorbit_ros.core.tables import Frames
 from geoorbit_ros.lanes.estimators.estimator import LaneEstimator, make_estimator
-from geoorbit_ros.lanes.mapping.mapper import LaneMapper
+from geoorbit_ros.lanes.mapping.mapper import LaneMapper, derive_once
 from geoorbit_ros.lanes.parameters import LaneParameters
 from geoorbit_ros.lanes.pipeline import map_lanes, project_frames
 from geoorbit_ros.scenes.scene import load_scene
@@ -69,7 +69,7 @@ def seconds(call: Callable[[], object]) -> float:
 
 def once(name: str, tracks: Stream) -> float:
     """Time from ground tracks to lanes, all at once."""
-    return seconds(lambda: filled(name, tracks).lanes(LaneParameters()))
+    return seconds(lambda: derive_once(filled(name, tracks), LaneParameters()))
 
 
 def from_boxes(name: str, frames: Frames, homography: Homography, size: tuple[int, int]) -> float:

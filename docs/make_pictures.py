@@ -33,7 +33,7 @@ from geoorbit_ros.lanes.estimators.curvilinear.corridors import Corridor, find_c
 from geoorbit_ros.lanes.estimators.curvilinear.evidence import Evidence
 from geoorbit_ros.lanes.estimators.curvilinear.profiles import lateral_profiles
 from geoorbit_ros.lanes.estimators.curvilinear.reference_line import RUN_OUT_M
-from geoorbit_ros.lanes.estimators.curvilinear.trajectory_segments import Passes
+from geoorbit_ros.lanes.estimators.curvilinear.trajectory_segments import TrajectorySegments
 from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.lanes.mapping.mapper import LaneMapper
 from geoorbit_ros.lanes.parameters import LaneParameters
@@ -80,7 +80,7 @@ class Camera:
 
     run: SceneRun
     tracks: list[StampedRows]
-    passes: Passes
+    passes: TrajectorySegments
     worth: NDArray[np.float64]
     corridors: list[Corridor]
     lane_map: LaneMap
@@ -203,7 +203,9 @@ def draw_passes(camera: Camera) -> Figure:
     draw_scale(axes)
     axes.legend(loc="lower right", bbox_to_anchor=(0.72, 0.0), markerscale=3)
     axes.set(xticks=[], yticks=[])
-    axes.set_title("1. Passes: tracks without stops, jumps and border boxes, condensed to nodes")
+    axes.set_title(
+        "1. TrajectorySegments: tracks without stops, jumps and border boxes, condensed to nodes"
+    )
     return figure
 
 
@@ -280,7 +282,7 @@ def draw_lanes(camera: Camera) -> Figure:
     return figure
 
 
-def nodes_of(passes: Passes, k: int) -> NDArray[np.float64]:
+def nodes_of(passes: TrajectorySegments, k: int) -> NDArray[np.float64]:
     """(M, 2) nodes of one pass."""
     return passes.xy[passes.offset[k] : passes.offset[k + 1]]
 

@@ -77,7 +77,7 @@ def fill(camera: CameraInput, memory: LaneMemory) -> tuple[int, int]:
             shifted["track_id"] += played * ID_STEP
             mapper.add(begin_ns + played * period_ns + stamp_ns - first_ns, shifted)
         played += 1
-        passes = len(mapper.estimator.state()["passes_offset"]) - 1
+        passes = len(mapper.state()["estimator_passes_offset"]) - 1
     mapper.finish()
-    memory.save(mapper.estimator, camera.datum)
+    memory.save(mapper, camera.datum)
     return round(played * period_ns / 60e9), passes

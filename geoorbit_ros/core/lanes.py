@@ -12,6 +12,23 @@ Status = Literal["confirmed", "tentative"]
 
 
 @dataclass(frozen=True, slots=True)
+class LaneEvidence:
+    """What speaks for a lane.
+
+    Attributes:
+        vehicles: Distinct vehicles that drove along it; one seen over a short stretch counts less.
+        lane_share: Share of the traffic in its band that drives along it rather than across.
+        length: Its length in units of the road's scale (about a second of travel).
+        presence: Traffic seen there as a share of the most seen in that band of the road.
+    """
+
+    vehicles: float
+    lane_share: float
+    length: float
+    presence: float
+
+
+@dataclass(frozen=True, slots=True)
 class Lane:
     """One lane in the map frame (local ENU metres, REP-103).
 
@@ -27,6 +44,7 @@ class Lane:
         vehicles: Distinct vehicles seen in the lane (decayed evidence counts less).
         vehicles_missing: How many more vehicles would confirm it; 0 when confirmed.
         sigma_m: 1-sigma lateral error of the centreline, mean over its length.
+        evidence: What the confidence was computed from; None when the producer doesn't say.
     """
 
     lane_id: int
@@ -40,6 +58,7 @@ class Lane:
     vehicles: float
     vehicles_missing: int = 0
     sigma_m: float = float("nan")
+    evidence: LaneEvidence | None = None
 
     @property
     def middle(self) -> tuple[float, float, float]:
@@ -89,12 +108,14 @@ class LaneMap:
         cross_sections: One per direction of travel; may be empty.
         visible_m: (V, 2) polygon on the ground inside which a lane can be told from its neighbour;
             empty when unknown.
+        segments: Trajectory segments that the map was derived from; 0 when none or unknown.
     """
 
     stamp_ns: int
     lanes: tuple[Lane, ...]
     cross_sections: tuple[CrossSection, ...] = ()
     visible_m: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 2)))
+    segments: int = 0
 
     @property
     def confirmed(self) -> tuple[Lane, ...]:

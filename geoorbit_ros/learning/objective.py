@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.lanes.estimators.estimator import make_estimator
+from geoorbit_ros.lanes.mapping.mapper import derive_once
 from geoorbit_ros.learning.camera_task import CameraTask, required
 from geoorbit_ros.learning.lane_embedding import shipped_embedding
 from geoorbit_ros.learning.parameter_space import from_unit
@@ -39,7 +40,7 @@ def detect_lanes(task: CameraTask, estimator: str, theta: Sequence[float] | Arra
     with warnings.catch_warnings():
         # FITPACK and KMeans grumble at the far corners of the cube; the losses say it too.
         warnings.simplefilter("ignore")
-        return list(fresh.lanes(parameters).lanes)
+        return list(derive_once(fresh, parameters).lanes)
 
 
 @dataclass

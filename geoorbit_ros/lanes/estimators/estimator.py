@@ -1,4 +1,4 @@
-"""The protocol that every lane estimator satisfies."""
+"""The protocol that every lane estimator satisfies, and two that it may satisfy."""
 
 from __future__ import annotations
 
@@ -10,16 +10,20 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.core import plugins
 from geoorbit_ros.core.lanes import LaneMap
-from geoorbit_ros.lanes.mapping.state import State
+from geoorbit_ros.lanes.estimators.curvilinear.trajectory_segments import TrajectorySegments
 from geoorbit_ros.lanes.parameters import LaneParameters
+
+State = dict[str, NDArray[Any]]
+"""Arrays by name, none of objects: what is saved for a process that is started again."""
 
 
 @runtime_checkable
 class LaneEstimator(Protocol):
-    """Turns ground tracks into lanes, once or continuously.
+    """Derives lanes from ground tracks.
 
     Results depend on the rows and their stamps only, never on wall time or on how the rows were
-    cut into calls.
+    cut into calls. Lasting ids, confirmed lanes that stay confirmed, which lanes are shown, and
+    when to ask again are the mapper's work: `lanes/mapping/mapper.py`.
     """
 
     def add(self, stamp_ns: int, rows: NDArray[np.void]) -> None:
@@ -27,12 +31,36 @@ class LaneEstimator(Protocol):
         ...
 
     def lanes(self, parameters: LaneParameters) -> LaneMap:
-        """The lanes as the evidence stands now. Lanes keep their ids from call to call."""
+        """All lanes that the rows so far may show, weak ones too; their `lane_id` is ignored.
+
+        Asking twice without new rows gives the same map.
+        """
         ...
 
-    def update(self, parameters: LaneParameters) -> LaneMap:
-        """The lanes refined by what came since the last map, at a fraction of its cost."""
+
+@runtime_checkable
+class SegmentSource(Protocol):
+    """An estimator whose trajectory segments the mapper can count between two derivations.
+
+    The maps of such an estimator say in `segments` how many they were derived from. Estimators
+    without these methods are asked for their lanes at every update.
+    """
+
+    def finished_segments(self) -> int:
+        """How many trajectory segments have ended so far, forgotten ones included."""
         ...
+
+    def segments_after(self, count: int, stamp_ns: int) -> TrajectorySegments:
+        """Segments that ended after the first `count` and began after `stamp_ns`."""
+        ...
+
+
+@runtime_checkable
+class Restorable(Protocol):
+    """An estimator that goes on where it was when its process is started again.
+
+    Of other estimators only the lanes and their ids are remembered.
+    """
 
     def state(self) -> State:
         """What it remembers, as arrays."""

@@ -10,9 +10,6 @@ Gaussian of sigma 2, peaks at least three bins apart, at least 1 high and 1 prom
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import UnivariateSpline
@@ -23,8 +20,6 @@ from sklearn.cluster import KMeans
 from geoorbit_ros.core.lanes import CrossSection, Lane, LaneMap
 from geoorbit_ros.core.plugins import register
 from geoorbit_ros.core.tables import TRACK_DTYPE
-from geoorbit_ros.lanes.mapping.lane_ids import LaneRegistry
-from geoorbit_ros.lanes.mapping.state import State
 from geoorbit_ros.lanes.parameters import LaneParameters
 
 BINS = 50
@@ -44,7 +39,6 @@ class GeoLaneEstimator:
     """`LaneEstimator` that runs the paper's method on the last `MEMORY_S` of tracks."""
 
     def __init__(self) -> None:
-        self._registry = LaneRegistry()
         self._stamps: list[int] = []
         self._frames: list[bytes] = []
 
@@ -62,25 +56,7 @@ class GeoLaneEstimator:
         self._stamps, self._frames = self._stamps[first:], self._frames[first:]
         rows = np.frombuffer(b"".join(self._frames), TRACK_DTYPE)
         lanes, sections = detect(rows, parameters)
-        return LaneMap(
-            stamp_ns, self._registry.identify(lanes, self._registry.match(lanes)), tuple(sections)
-        )
-
-    def update(self, parameters: LaneParameters) -> LaneMap:
-        """The same as `lanes`: the paper's method starts from scratch each time."""
-        return self.lanes(parameters)
-
-    def state(self) -> State:
-        """The lanes' names; the paper's method remembers no more than a minute."""
-        return self._registry.state()
-
-    def restore(self, state: Mapping[str, NDArray[Any]], stamp_ns: int) -> None:
-        """Know the lanes' names; `stamp_ns` means nothing here.
-
-        Raises:
-            KeyError, ValueError, IndexError: Not such a state.
-        """
-        self._registry.restore(state)
+        return LaneMap(stamp_ns, tuple(lanes), tuple(sections))
 
 
 def detect(

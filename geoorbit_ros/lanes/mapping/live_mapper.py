@@ -13,17 +13,18 @@ from numpy.typing import NDArray
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.core.errors import InputFileError
 from geoorbit_ros.core.lanes import LaneMap
-from geoorbit_ros.lanes.estimators.estimator import LaneEstimator, make_estimator
+from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.lanes.mapping.mapper import LaneMapper
 from geoorbit_ros.lanes.parameters import LaneParameters
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
+"""Of saved files; a file of another version is refused. Since 2 the mapper is saved."""
 SAVE_PERIOD_S = 10.0
 """Data time between two saves. What a crash loses is so much evidence, never an id."""
 
 
 class LaneMemory:
-    """Saves an estimator now and then, and gives its state to a fresh one.
+    """Saves a mapper now and then, and gives its state to a fresh one.
 
     Args:
         file: Where; made with its folder when first saved.
@@ -34,11 +35,11 @@ class LaneMemory:
         self._file, self._name = file, estimator
         self._saved_ns: int | None = None
 
-    def resume(self, estimator: LaneEstimator, datum: Datum, stamp_ns: int) -> bool:
-        """Give a fresh estimator what was saved, as if until just before `stamp_ns`.
+    def resume(self, mapper: LaneMapper, datum: Datum, stamp_ns: int) -> bool:
+        """Give a fresh mapper what was saved, as if until just before `stamp_ns`.
 
         Args:
-            estimator: One that has seen no frame yet.
+            mapper: One that has seen no frame yet.
             datum: Origin of the map frame now.
             stamp_ns: Capture time of the frame that comes next.
 
@@ -55,13 +56,13 @@ class LaneMemory:
                 state = dict(content)
             about = state.pop("about").tolist()
             self._check(about, datum)
-            estimator.restore(state, stamp_ns)
+            mapper.restore(state, stamp_ns)
         except (OSError, EOFError, ValueError, LookupError, zipfile.BadZipFile) as error:
             reason = f"{type(error).__name__}: {error}"
             raise InputFileError(str(self._file), reason, "a saved lane map") from error
         return True
 
-    def save_if_due(self, estimator: LaneEstimator, datum: Datum, stamp_ns: int) -> bool:
+    def save_if_due(self, mapper: LaneMapper, datum: Datum, stamp_ns: int) -> bool:
         """Save when `SAVE_PERIOD_S` of data have passed since the last time.
 
         Raises:
@@ -70,10 +71,10 @@ class LaneMemory:
         if self._saved_ns is not None and 0 <= stamp_ns - self._saved_ns < SAVE_PERIOD_S * 1e9:
             return False
         self._saved_ns = stamp_ns
-        self.save(estimator, datum)
+        self.save(mapper, datum)
         return True
 
-    def save(self, estimator: LaneEstimator, datum: Datum) -> None:
+    def save(self, mapper: LaneMapper, datum: Datum) -> None:
         """Replace the file by the state as it is.
 
         No fsync: a killed process loses nothing of what it wrote, and this runs between frames.
@@ -81,7 +82,7 @@ class LaneMemory:
         Raises:
             InputFileError: The file can't be written.
         """
-        arrays: dict[str, Any] = {"about": np.array(self._about(datum)), **estimator.state()}
+        arrays: dict[str, Any] = {"about": np.array(self._about(datum)), **mapper.state()}
         scratch = self._file.with_name(f".{self._file.name}.new")
         try:
             self._file.parent.mkdir(parents=True, exist_ok=True)
@@ -94,7 +95,7 @@ class LaneMemory:
 
     def _about(self, datum: Datum) -> list[str]:
         origin = f"{datum.latitude_deg!r} {datum.longitude_deg!r}"
-        return [str(FORMAT_VERSION), self._name, origin]
+        return [f"format {FORMAT_VERSION}", self._name, origin]
 
     def _check(self, about: list[str], datum: Datum) -> None:
         for found, wanted in zip(about, self._about(datum), strict=True):
@@ -155,7 +156,7 @@ class LiveMapper:
         lane_map = self._mapper.add(stamp_ns, rows)
         if lane_map and self._memory and datum:
             try:
-                self._memory.save_if_due(self._mapper.estimator, datum, stamp_ns)
+                self._memory.save_if_due(self._mapper, datum, stamp_ns)
             except InputFileError as error:
                 self._warn(f"lanes are not remembered: {error}")
         return lane_map or found
@@ -170,7 +171,7 @@ class LiveMapper:
     def _resume(self, memory: LaneMemory, datum: Datum, stamp_ns: int) -> LaneMap | None:
         mapper = self._fresh(self.parameters)
         try:
-            if not memory.resume(mapper.estimator, datum, stamp_ns):
+            if not memory.resume(mapper, datum, stamp_ns):
                 return None
         except InputFileError as error:
             self._warn(f"lanes start anew: {error}")

@@ -13,6 +13,7 @@ from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.core.tables import TRACK_DTYPE
 from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.lanes.mapping.live_mapper import LaneMemory, LiveMapper
+from geoorbit_ros.lanes.mapping.mapper import LaneMapper
 from geoorbit_ros.lanes.parameters import LaneParameters
 
 DATUM = Datum(43.0, -89.4)
@@ -42,6 +43,10 @@ def traffic(begin_s: float, end_s: float, first_ns: int = 10**9) -> Iterator[Fra
 
 def camera(file: Path | None, warnings: list[str], estimator: str = "curvilinear") -> LiveMapper:
     return LiveMapper(estimator, LaneParameters(), 5.0, file, warnings.append)
+
+
+def fresh(estimator: str) -> LaneMapper:
+    return LaneMapper(make_estimator(estimator))
 
 
 def run(mapper: LiveMapper, frames: Iterator[Frame]) -> list[LaneMap]:
@@ -97,11 +102,11 @@ def test_both_estimators_keep_their_ids(file: Path) -> None:
     for name in ("curvilinear", "geolane"):
         place = file.with_name(f"{name}.npz")
         before = run(camera(place, [], name), traffic(0.0, 60.0))[-1]
-        estimator = make_estimator(name)
-        assert LaneMemory(place, name).resume(estimator, DATUM, 10**12)
+        mapper = fresh(name)
+        assert LaneMemory(place, name).resume(mapper, DATUM, 10**12)
         for stamp_ns, rows in traffic(60.0, 120.0):
-            estimator.add(stamp_ns, rows)
-        assert ids(estimator.lanes(LaneParameters())).keys() == ids(before).keys()
+            mapper.add(stamp_ns, rows)
+        assert ids(mapper.finish()).keys() == ids(before).keys()
 
 
 @pytest.mark.parametrize("damage", ["cut", "text", "other array", "empty"])
@@ -110,7 +115,7 @@ def test_a_broken_file_is_one_warning_and_lanes_start_anew(file: Path, damage: s
     content = file.read_bytes()
     if damage == "other array":
         with file.open("wb") as stream:
-            np.savez(stream, about=np.array(["1", "curvilinear", "43.0 -89.4"]))
+            np.savez(stream, about=np.array(["format 2", "curvilinear", "43.0 -89.4"]))
     else:
         file.write_bytes({"cut": content[:-100], "text": b"lanes", "empty": b""}[damage])
     warnings: list[str] = []
@@ -123,10 +128,22 @@ def test_a_broken_file_is_one_warning_and_lanes_start_anew(file: Path, damage: s
 def test_memory_of_another_method_or_place_is_refused(file: Path) -> None:
     run(camera(file, []), traffic(0.0, 20.0))
     with pytest.raises(InputFileError, match="'curvilinear', expected 'geolane'"):
-        LaneMemory(file, "geolane").resume(make_estimator("geolane"), DATUM, 0)
+        LaneMemory(file, "geolane").resume(fresh("geolane"), DATUM, 0)
     elsewhere = Datum(43.1, -89.4)
     with pytest.raises(InputFileError, match=r"43\.1"):
-        LaneMemory(file, "curvilinear").resume(make_estimator("curvilinear"), elsewhere, 0)
+        LaneMemory(file, "curvilinear").resume(fresh("curvilinear"), elsewhere, 0)
+
+
+def test_memory_of_an_older_format_is_refused_in_one_sentence(file: Path) -> None:
+    run(camera(file, []), traffic(0.0, 20.0))
+    with np.load(file) as content:
+        older = dict(content) | {"about": np.array(["1", "curvilinear", "43.0 -89.4"])}
+    with file.open("wb") as stream:
+        np.savez(stream, **older)
+    warnings: list[str] = []
+    run(camera(file, warnings), traffic(20.0, 21.0))
+    assert len(warnings) == 1
+    assert "'1', expected 'format 2'" in warnings[0]
 
 
 def test_a_place_that_can_not_be_written_is_one_warning(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.lanes.confidence import LaneEvidence
+from geoorbit_ros.core.lanes import LaneEvidence
 from geoorbit_ros.lanes.estimators.curvilinear.centerlines import (
     LARGE_WEIGHT,
     Centerline,

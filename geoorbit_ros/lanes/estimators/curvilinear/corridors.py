@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from geoorbit_ros.lanes.estimators.curvilinear.reference_line import Spine, trace_spine
 from geoorbit_ros.lanes.estimators.curvilinear.trajectory_segments import (
     MIN_TRAVEL_M,
-    Passes,
+    TrajectorySegments,
     step_m,
     wrap_rad,
 )
@@ -55,7 +55,9 @@ class Corridor:
         return scale_m(self.speed_mps)
 
 
-def find_corridors(passes: Passes, known: Sequence[tuple[Spine, float]] = ()) -> list[Corridor]:
+def find_corridors(
+    passes: TrajectorySegments, known: Sequence[tuple[Spine, float]] = ()
+) -> list[Corridor]:
     """Split the traffic into streams, the one with the longest pass first.
 
     Args:
@@ -91,7 +93,7 @@ def find_corridors(passes: Passes, known: Sequence[tuple[Spine, float]] = ()) ->
 
 
 def _straightness(
-    passes: Passes, owner: NDArray[np.int64], left: NDArray[np.bool_]
+    passes: TrajectorySegments, owner: NDArray[np.int64], left: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
     """(P,) 1 for a pass that keeps its heading over its nodes `left`, 1/2 for one that turns off.
 
@@ -111,7 +113,7 @@ def _straightness(
 
 
 def place_nodes(
-    spine: Spine, speed_mps: float, passes: Passes, among: NDArray[np.int64]
+    spine: Spine, speed_mps: float, passes: TrajectorySegments, among: NDArray[np.int64]
 ) -> Corridor:
     """The corridor around `spine`, with the nodes `among` (M,) that run along it."""
     among = among[spine.may_run_along(passes.heading[among], MAX_ANGLE_RAD)]
@@ -123,14 +125,16 @@ def place_nodes(
 
 
 def _corridor(
-    passes: Passes, left: NDArray[np.int64], seed: NDArray[np.int64], speed_mps: float
+    passes: TrajectorySegments, left: NDArray[np.int64], seed: NDArray[np.int64], speed_mps: float
 ) -> Corridor:
     spine = trace_spine(passes.xy, passes.heading, left, seed, scale_m(speed_mps))
     corridor = place_nodes(spine, speed_mps, passes, left)
     return replace(corridor, speed_mps=_median_speed_mps(passes, corridor.node, speed_mps))
 
 
-def _median_speed_mps(passes: Passes, node: NDArray[np.int64], otherwise_mps: float) -> float:
+def _median_speed_mps(
+    passes: TrajectorySegments, node: NDArray[np.int64], otherwise_mps: float
+) -> float:
     """Median speed of the passes with a whole stretch among `node` (M,), ascending."""
     owner = passes.owner[node]
     same = (np.diff(owner) == 0) & (np.diff(node) == 1)

@@ -19,14 +19,14 @@ from geoorbit_ros.lanes.estimators.curvilinear.track_rows import (
 from geoorbit_ros.lanes.estimators.curvilinear.trajectory_segments import (
     MAX_GAP_S,
     MAX_PIECE_S,
-    Passes,
+    TrajectorySegments,
     concatenate,
     condense,
     empty_passes,
     newest,
     select,
 )
-from geoorbit_ros.lanes.mapping.state import State, pack_passes, unpack_passes
+from geoorbit_ros.lanes.estimators.estimator import State
 
 MAX_PASSES = 1500
 """Newest passes kept: ten minutes of a busy motorway, most of a day on a quiet road."""
@@ -71,21 +71,21 @@ class Evidence:
         self._stamps.append(stamp_ns)
         self._chunks.append(rows.tobytes())
 
-    def passes(self) -> tuple[Passes, NDArray[np.float64]]:
+    def passes(self) -> tuple[TrajectorySegments, NDArray[np.float64]]:
         """All passes, finished ones first, and the worth (P,) of each by its age."""
         now_s = self.settle()
         self._finished = [self._trim(concatenate(self._finished), now_s)]
         every = concatenate([*self._finished, condense(self._open)])
         return every, self._worth(every, now_s)
 
-    @property
-    def finished_ever(self) -> int:
-        """Passes finished since the beginning, those forgotten included, as of `settle`."""
+    def finished(self) -> int:
+        """Passes finished since the beginning, those forgotten included."""
+        self.settle()
         return self._finished_ever
 
-    def finished_after(self, count: int, stamp_ns: int) -> Passes:
+    def finished_after(self, count: int, stamp_ns: int) -> TrajectorySegments:
         """Passes finished after the first `count` that also began after `stamp_ns`."""
-        wanted, parts = self._finished_ever - count, list[Passes]()
+        wanted, parts = self.finished() - count, list[TrajectorySegments]()
         for part in reversed(self._finished):
             if sum(map(len, parts)) >= wanted:
                 break
@@ -113,8 +113,11 @@ class Evidence:
 
     def settle(self) -> float:
         """Move tracks that have ended from rows to passes; return the time in seconds."""
+        news = bool(self._chunks)
         rows = self._open.followed_by(self._fresh_rows())
         now_s = (self._now_ns - (self._epoch_ns or 0)) * 1e-9
+        if not news:
+            return now_s
         if len(rows) == 0:
             return now_s
         order = order_by_track(rows.track)
@@ -157,13 +160,39 @@ class Evidence:
         self._stamps, self._chunks = [], []
         return usable_rows(np.repeat(time_s[index], counts), rows, self._max_sigma_m)
 
-    def _worth(self, passes: Passes, now_s: float) -> NDArray[np.float64]:
+    def _worth(self, passes: TrajectorySegments, now_s: float) -> NDArray[np.float64]:
         end = passes.time_s[passes.offset[1:] - 1] if len(passes) else np.empty(0)
         return np.asarray(0.5 ** ((now_s - end) / self._half_life_s))
 
-    def _trim(self, passes: Passes, now_s: float) -> Passes:
+    def _trim(self, passes: TrajectorySegments, now_s: float) -> TrajectorySegments:
         worth = self._worth(passes, now_s)
         keep = worth > 0.02
         if keep.sum() > self._max_passes:
             keep &= worth >= np.partition(worth, -self._max_passes)[-self._max_passes]
         return passes if keep.all() else select(passes, keep)
+
+
+def pack_passes(passes: TrajectorySegments) -> State:
+    """The arrays of `TrajectorySegments`."""
+    return {
+        "passes_xy": passes.xy,
+        "passes_sigma": passes.sigma,
+        "passes_heading": passes.heading,
+        "passes_time_s": passes.time_s,
+        "passes_offset": passes.offset,
+        "passes_large": passes.large,
+    }
+
+
+def unpack_passes(state: Mapping[str, NDArray[Any]]) -> TrajectorySegments:
+    """The inverse of `pack_passes`.
+
+    Raises:
+        KeyError, ValueError: Arrays that are missing or don't fit together.
+    """
+    names = ("xy", "sigma", "heading", "time_s", "offset", "large")
+    passes = TrajectorySegments(*(state[f"passes_{name}"] for name in names))
+    nodes = int(passes.offset[-1])
+    if passes.xy.shape != (nodes, 2) or len(passes.large) != len(passes):
+        raise ValueError(f"{len(passes)} passes, {passes.xy.shape} nodes, offset ends at {nodes}")
+    return passes

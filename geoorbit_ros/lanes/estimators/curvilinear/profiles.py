@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.lanes.estimators.curvilinear.corridors import Corridor
 from geoorbit_ros.lanes.estimators.curvilinear.grouped import changes, lengths, totals
-from geoorbit_ros.lanes.estimators.curvilinear.trajectory_segments import Passes
+from geoorbit_ros.lanes.estimators.curvilinear.trajectory_segments import TrajectorySegments
 
 STATIONS_PER_SCALE = 4
 GAP_STATIONS = 16
@@ -63,7 +63,7 @@ class Profiles:
 
 
 def lateral_profiles(
-    corridors: Sequence[Corridor], passes: Passes, pass_weight: NDArray[np.float64]
+    corridors: Sequence[Corridor], passes: TrajectorySegments, pass_weight: NDArray[np.float64]
 ) -> Profiles:
     """Local linear regression of d on s, per vehicle and station.
 

@@ -35,7 +35,7 @@ HEADING_BASE = 2
 
 
 @dataclass(frozen=True)
-class Passes:
+class TrajectorySegments:
     """P passes with N nodes in all; nodes of pass p are `slice(offset[p], offset[p + 1])`.
 
     Attributes:
@@ -63,13 +63,15 @@ class Passes:
         return np.repeat(np.arange(len(self)), np.diff(self.offset))
 
 
-def empty_passes() -> Passes:
+def empty_passes() -> TrajectorySegments:
     """No traffic yet."""
     none = np.empty(0)
-    return Passes(np.empty((0, 2)), none, none, none, np.zeros(1, np.int64), np.empty(0, bool))
+    return TrajectorySegments(
+        np.empty((0, 2)), none, none, none, np.zeros(1, np.int64), np.empty(0, bool)
+    )
 
 
-def concatenate(parts: list[Passes]) -> Passes:
+def concatenate(parts: list[TrajectorySegments]) -> TrajectorySegments:
     """Passes of several parts, in order."""
     parts = [p for p in parts if len(p)]
     if not parts:
@@ -77,7 +79,7 @@ def concatenate(parts: list[Passes]) -> Passes:
     if len(parts) == 1:
         return parts[0]
     counts = np.concatenate([np.diff(p.offset) for p in parts])
-    return Passes(
+    return TrajectorySegments(
         np.concatenate([p.xy for p in parts]),
         np.concatenate([p.sigma for p in parts]),
         np.concatenate([p.heading for p in parts]),
@@ -87,11 +89,11 @@ def concatenate(parts: list[Passes]) -> Passes:
     )
 
 
-def newest(passes: Passes, count: int) -> Passes:
+def newest(passes: TrajectorySegments, count: int) -> TrajectorySegments:
     """The last `count` passes, or all when there are fewer; views."""
     first = max(0, len(passes) - count)
     node = int(passes.offset[first])
-    return Passes(
+    return TrajectorySegments(
         passes.xy[node:],
         passes.sigma[node:],
         passes.heading[node:],
@@ -101,11 +103,11 @@ def newest(passes: Passes, count: int) -> Passes:
     )
 
 
-def select(passes: Passes, keep: NDArray[np.bool_]) -> Passes:
+def select(passes: TrajectorySegments, keep: NDArray[np.bool_]) -> TrajectorySegments:
     """The passes for which `keep` (P,) holds."""
     nodes = np.repeat(keep, np.diff(passes.offset))
     counts = np.diff(passes.offset)[keep]
-    return Passes(
+    return TrajectorySegments(
         passes.xy[nodes],
         passes.sigma[nodes],
         passes.heading[nodes],
@@ -115,7 +117,7 @@ def select(passes: Passes, keep: NDArray[np.bool_]) -> Passes:
     )
 
 
-def condense(rows: TrackRows) -> Passes:
+def condense(rows: TrackRows) -> TrajectorySegments:
     """Passes in `rows`, which must be sorted by (track, time).
 
     Returns:
@@ -224,7 +226,7 @@ def _cut_at_turns(nodes: _Nodes) -> _Nodes:
     return replace(nodes, piece=np.cumsum(new) - 1)
 
 
-def _to_passes(nodes: _Nodes) -> Passes:
+def _to_passes(nodes: _Nodes) -> TrajectorySegments:
     """Drop what is no traffic, measure headings."""
     first = np.flatnonzero(nodes.starts())
     counts = lengths(first, len(nodes.piece))
@@ -242,7 +244,7 @@ def _to_passes(nodes: _Nodes) -> Passes:
     heading = np.arctan2(nodes.y[high] - nodes.y[low], nodes.x[high] - nodes.x[low])
     xy = np.column_stack([nodes.x, nodes.y])
     offset = np.append(0, np.cumsum(counts))
-    return select(Passes(xy, nodes.sigma, heading, nodes.time_s, offset, large), keep)
+    return select(TrajectorySegments(xy, nodes.sigma, heading, nodes.time_s, offset, large), keep)
 
 
 def wrap_rad(angle: NDArray[np.float64]) -> NDArray[np.float64]:
