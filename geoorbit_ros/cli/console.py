@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import os
-import signal
 import sys
 import time
 from collections.abc import Iterable, Iterator, Sized
 from contextlib import contextmanager
-from threading import Event
-from types import FrameType
 from typing import TYPE_CHECKING, TypeVar
 
 from rich.console import Console
@@ -19,26 +16,6 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from geoorbit_ros.learning.processes import Progress
-
-
-@contextmanager
-def told_to_end() -> Iterator[Event]:
-    """An event that SIGINT and SIGTERM set, instead of an exception in the middle of a callback.
-
-    A second signal ends the process at once.
-    """
-    event = Event()
-
-    def note(number: int, _frame: FrameType | None) -> None:
-        event.set()
-        signal.signal(number, signal.SIG_DFL)
-
-    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield event
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 _PIPED_WIDTH = 120

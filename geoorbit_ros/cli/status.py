@@ -79,7 +79,8 @@ def _watch(
 ) -> None:
     from rich.live import Live
 
-    from geoorbit_ros.cli.console import console, told_to_end
+    from geoorbit_ros.cli.console import console
+    from geoorbit_ros.cli.signals import told_to_end
     from geoorbit_ros.fleet.health import rows
 
     drawn = 0.0

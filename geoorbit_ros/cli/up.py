@@ -43,7 +43,8 @@ def up(
 
     Example: [bold]geoorbit up demo[/bold]
     """
-    from geoorbit_ros.cli.console import console, status, told_to_end
+    from geoorbit_ros.cli.console import console, status
+    from geoorbit_ros.cli.signals import told_to_end
     from geoorbit_ros.fleet.fleet_file import load_fleet
     from geoorbit_ros.fleet.plan import plan_fleet, select
     from geoorbit_ros.fleet.prepare import prepare

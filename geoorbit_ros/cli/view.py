@@ -47,13 +47,14 @@ def view(
 
     Example: [bold]geoorbit view --bag bags/demo/bag --calibration bags/demo/calibration.csv[/bold]
     """
-    from geoorbit_ros.cli.console import console, told_to_end
+    from geoorbit_ros.cli.console import console
+    from geoorbit_ros.cli.signals import told_to_end
     from geoorbit_ros.nodes.support.composition import Composition
     from geoorbit_ros.nodes.viewer import ViewerNode
 
     if bag is None and domain_id is None:
         domain_id = int(os.environ.get("ROS_DOMAIN_ID", "0"))
-    with told_to_end() as end, Composition(domain_id, quiet=True) as nodes:
+    with Composition(domain_id, quiet=True) as nodes, told_to_end() as end:
         if bag is not None:
             _add_bag(nodes, bag, calibration, camera_id, image_size)
         settings = {"host": host, "port": port, "topics": topics}

@@ -148,11 +148,13 @@ class Supervisor:
                 break
 
     def stop(self) -> None:
-        """End all processes: Ctrl-C first, then SIGTERM, then SIGKILL, within `Timing.kill_s`."""
+        """End all processes: SIGINT first, then SIGTERM, then SIGKILL, within `Timing.kill_s`."""
         alive = [m for m in self.members.values() if m.process and m.process.poll() is None]
         started = time.monotonic()
         for member in alive:
-            _signal(member, signal.SIGINT)
+            # Python itself prints a traceback for SIGINT before the node's first line is reached.
+            starting = member.state is State.STARTING
+            _signal(member, signal.SIGTERM if starting else signal.SIGINT)
         timing = self._timing
         steps = ((timing.interrupt_s, signal.SIGTERM), (timing.kill_s, signal.SIGKILL))
         for deadline_s, number in steps:

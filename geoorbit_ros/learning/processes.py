@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
@@ -36,11 +37,16 @@ class BackgroundProcess(Executor):
         **kwargs: Parameters.kwargs,
     ) -> Future[Returned]:
         """As `Executor.submit`."""
+        # The process takes this mask over: a Ctrl-C, which a terminal sends to it as well, is for
+        # the process that it works for, and it ends with that one.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
         try:
             return self._pool.submit(fn, *args, **kwargs)
         except BrokenProcessPool:
             self._pool = self._new()
             return self._pool.submit(fn, *args, **kwargs)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
     def kill(self) -> None:
         """End the process, whatever it does."""

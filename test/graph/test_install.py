@@ -21,6 +21,7 @@ from rclpy.node import Node
 
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE, Frames, frames_from_rows
+from geoorbit_ros.nodes.support.composition import free_domain_id
 from geoorbit_ros.scenes.network import write_network
 from geoorbit_ros.scenes.roads import place_roads
 from geoorbit_ros.scenes.scene import load_scene
@@ -35,7 +36,6 @@ SERVERLESS = [name for name in NODES if name != "carla_bridge"]
 """The CARLA bridge ends where no server answers (test_carla_bridge_node)."""
 PYTHON = f"python{sys.version_info.major}.{sys.version_info.minor}"
 LIMIT_S = 120
-DOMAIN_ID = 60 + os.getpid() % 40  # away from those of the other tests
 
 CONTROL_POINTS = """\
 pixel_x,pixel_y,latitude,longitude
@@ -191,8 +191,12 @@ def two_frames() -> Frames:
 
 @dataclass(frozen=True)
 class Observer:
-    """A node of this process that sees who else is in the graph."""
+    """A node of this process that sees who else is in the graph.
 
+    Each test has a domain of its own: nodes that have just ended stay in the graph for a while.
+    """
+
+    domain_id: int
     node: Node
     executor: Executor
 
@@ -204,12 +208,12 @@ class Observer:
 
 @pytest.fixture
 def observer() -> Iterator[Observer]:
-    context = Context()
-    rclpy.init(context=context, domain_id=DOMAIN_ID)
+    context, domain_id = Context(), free_domain_id()
+    rclpy.init(context=context, domain_id=domain_id)
     node = Node("observer", context=context)
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
-    yield Observer(node, executor)
+    yield Observer(domain_id, node, executor)
     executor.shutdown()
     node.destroy_node()
     rclpy.shutdown(context=context)
@@ -243,7 +247,7 @@ def test_every_executable_starts_its_node_and_ends_on_sigint(
     prefix: Path = request.getfixturevalue(prefix_fixture)
     user = as_pip_user if prefix_fixture == "pip_prefix" else as_colcon_user
     start, variables = user(prefix, tmp_path)
-    environment = clean_environment() | variables | {"ROS_DOMAIN_ID": str(DOMAIN_ID)}
+    environment = clean_environment() | variables | {"ROS_DOMAIN_ID": str(observer.domain_id)}
     processes = {}
     for name in SERVERLESS:
         words = [f"{key}:={value}" for key, value in node_parameters.get(name, {}).items()]

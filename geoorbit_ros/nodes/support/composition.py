@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import signal
 import socket
+import threading
 import time
 from collections.abc import Callable, Mapping
 from itertools import count
@@ -18,7 +20,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
-from geoorbit_ros.nodes.support.process import make_executor
+from geoorbit_ros.nodes.support.process import SIGNALS, make_executor
 
 _FIRST, _LAST = 1, 100
 """Domain 0 is the default one; from 102 on Linux hands the ports out to others."""
@@ -54,7 +56,8 @@ AnyGeoOrbitNode = TypeVar("AnyGeoOrbitNode", bound=GeoOrbitNode[Any])
 class Composition:
     """A context manager that holds nodes, spins them and takes them down again.
 
-    Signals stay Python's: Ctrl-C raises KeyboardInterrupt as in any command.
+    SIGINT and SIGTERM raise KeyboardInterrupt where the nodes are spun, and not in the middle of a
+    callback or of the middleware.
 
     Args:
         domain_id: ROS domain; None takes a free one that only this machine can see.
@@ -73,6 +76,12 @@ class Composition:
         )
         self._executor = make_executor(self.context)
         self._nodes: list[Node] = []
+        self._told_to_end = False
+        main = threading.current_thread() is threading.main_thread()
+        self._handlers = {n: signal.signal(n, self._note) for n in (SIGNALS if main else ())}
+
+    def _note(self, *_: object) -> None:
+        self._told_to_end = True
 
     def add(self, node: AnyNode) -> AnyNode:
         """Take over a node made with this composition's `context`."""
@@ -93,8 +102,15 @@ class Composition:
         return self.add(node_class(context=self.context, namespace=namespace, overrides=overrides))
 
     def spin(self, timeout_s: float = STEP_S) -> None:
-        """Do what is due, or wait for it; errors of callbacks come out here."""
+        """Do what is due, or wait for it; errors of callbacks come out here.
+
+        Raises:
+            KeyboardInterrupt: The process was told to end.
+        """
         self._executor.spin_once(timeout_sec=timeout_s)
+        if self._told_to_end:
+            self._told_to_end = False
+            raise KeyboardInterrupt
 
     def wait(
         self,
@@ -134,6 +150,8 @@ class Composition:
             for node in self._nodes:
                 node.destroy_node()
             self.context.try_shutdown()
+            for number, handler in self._handlers.items():
+                signal.signal(number, handler)
 
     def __enter__(self) -> Composition:
         return self

@@ -6,6 +6,7 @@ import gc
 import signal
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from typing import Any
 
 import rclpy
@@ -50,40 +51,58 @@ def run_nodes(
     args: Sequence[str] | None = None,
 ) -> int:
     """As `run_node`, for several nodes on one executor, while `goes_on` says so of them."""
-    nodes: list[GeoOrbitNode[Any]] = []
-    told_to_end: list[int] = []
+    received: list[int] = []
+
+    def told_to_end() -> bool:
+        return bool(received)  # where a function begins, Python runs the handlers that are due
+
     for number in SIGNALS:
         # rclpy's handler ends the context, then calls this one. Python's own would raise
         # KeyboardInterrupt, also inside the clean-up of the C++ executor, which then aborts: a
         # Ctrl-C under `ros2 launch` reaches a node twice.
-        signal.signal(number, lambda received, _: told_to_end.append(received))
+        signal.signal(number, lambda received_number, _: received.append(received_number))
     try:
-        rclpy.init(args=None if args is None else list(args))
-        executor = make_executor()
-        for make in makers:
-            nodes.append(make())
-            executor.add_node(nodes[-1])
-        # What lives from here on stays: the collector need not look through it in the middle of a
-        # frame, which takes tens of milliseconds with all that is imported.
-        gc.collect()
-        gc.freeze()
-        while rclpy.ok() and not told_to_end and goes_on(nodes):
-            executor.spin_once(timeout_sec=SPIN_TIMEOUT_S)
+        with ExitStack() as stack:
+            _spin(stack, makers, lambda nodes: not told_to_end() and goes_on(nodes), args)
     except ExternalShutdownException:
-        pass
-    except GeoOrbitError as error:
-        print(error, file=sys.stderr)
-        return 2
+        return 0
     except Exception as error:
-        # Told to end while a node was being made, its context is gone and anything may fail.
-        if not told_to_end:
-            raise
-        print(f"ended while starting ({type(error).__name__}: {error})", file=sys.stderr)
+        # Told to end while a node is being made or taken down, its context is gone and anything
+        # may fail.
+        if told_to_end():
+            reason = next(iter(str(error).splitlines()), "")
+            print(f"told to end; {type(error).__name__}: {reason}", file=sys.stderr)
+            return 0
+        if isinstance(error, GeoOrbitError):
+            print(error, file=sys.stderr)
+            return 2
+        raise
     finally:
-        for node in reversed(nodes):
-            node.close()
-            node.destroy_node()
-        rclpy.try_shutdown()
         for number in SIGNALS:  # while it ends, Python puts back the default, which is to kill
             signal.signal(number, signal.SIG_IGN)
     return 0
+
+
+def _spin(
+    stack: ExitStack,
+    makers: Sequence[Callable[[], GeoOrbitNode[Any]]],
+    goes_on: Callable[[Sequence[GeoOrbitNode[Any]]], bool],
+    args: Sequence[str] | None,
+) -> None:
+    """Make the nodes and spin them; `stack` takes them down, the last one first."""
+    nodes: list[GeoOrbitNode[Any]] = []
+    stack.callback(rclpy.try_shutdown)
+    rclpy.init(args=None if args is None else list(args))
+    executor = make_executor()
+    for make in makers:
+        node = make()
+        stack.callback(node.destroy_node)
+        stack.callback(node.close)
+        nodes.append(node)
+        executor.add_node(node)
+    # What lives from here on stays: the collector need not look through it in the middle of a
+    # frame, which takes tens of milliseconds with all that is imported.
+    gc.collect()
+    gc.freeze()
+    while rclpy.ok() and goes_on(nodes):
+        executor.spin_once(timeout_sec=SPIN_TIMEOUT_S)

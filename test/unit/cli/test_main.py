@@ -10,6 +10,7 @@ import sys
 import pytest
 
 from geoorbit_ros import __version__
+from geoorbit_ros.cli import app as commands
 from geoorbit_ros.cli import main as cli
 from geoorbit_ros.cli.lanes import lanes
 from geoorbit_ros.cli.report import report
@@ -43,8 +44,8 @@ def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
 
 def leaf_commands() -> list[tuple[str, ...]]:
     """Every command that does something, as the words that call it."""
-    words: list[tuple[str, ...]] = [(str(c.name),) for c in cli.app.registered_commands]
-    for group in cli.app.registered_groups:
+    words: list[tuple[str, ...]] = [(str(c.name),) for c in commands.app.registered_commands]
+    for group in commands.app.registered_groups:
         assert group.name
         assert group.typer_instance
         words += [(group.name, str(c.name)) for c in group.typer_instance.registered_commands]
@@ -63,7 +64,7 @@ def test_every_command_teaches_with_an_example(
 
 def test_help_loads_nothing_heavy() -> None:
     heavy = "{'numpy', 'scipy', 'rclpy', 'pyproj', 'cv2', 'libsumo', 'pyarrow', 'sklearn', 'yaml'}"
-    done = python(f"import sys, geoorbit_ros.cli.main; print(sorted({heavy} & set(sys.modules)))")
+    done = python(f"import sys, geoorbit_ros.cli.app; print(sorted({heavy} & set(sys.modules)))")
     assert done.stdout.strip() == "[]", done.stderr
 
 
@@ -79,7 +80,7 @@ def test_a_known_error_is_one_sentence_and_exit_code_2(
     def fail(**_: object) -> None:
         raise InputFileError("t.csv, line 3, column 'w'", "'wide'", "a number")
 
-    monkeypatch.setattr(cli, "app", fail)
+    monkeypatch.setattr(commands, "app", fail)
     assert cli.main([]) == 2
     expected = "geoorbit: t.csv, line 3, column 'w': found 'wide', expected a number\n"
     assert capsys.readouterr().err == expected

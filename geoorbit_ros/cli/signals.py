@@ -1,0 +1,117 @@
+"""What a command does when it is told to end: SIGINT (Ctrl-C) and SIGTERM are treated alike."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from threading import Event
+from types import TracebackType
+from typing import Any
+
+EXIT_INTERRUPTED = 130
+"""128 + SIGINT: what a shell reports for a command that Ctrl-C has ended."""
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+SAME_S = 0.5
+"""Signals that follow the first one within this time count as the same. Chosen: `timeout` sends its
+signal twice; larger, somebody who presses Ctrl-C again waits longer."""
+AGAIN_S = 0.02
+"""An interruption that got lost comes again after this time. Chosen: larger, the command goes on
+for longer; much smaller, it may come before the place where it got lost is left."""
+
+
+class Interrupted(KeyboardInterrupt):
+    """The process was told to end.
+
+    A class of its own: Python ends itself by SIGINT, whatever status it was given, once a plain
+    KeyboardInterrupt has passed the `exec` in which a dataclass is made (CPython 3.11, pythonrun.c,
+    `run_eval_code_obj`).
+    """
+
+
+class Interruption:
+    """A context manager in which a signal raises KeyboardInterrupt, and a later one ends at once.
+
+    Python drops an exception that is raised in a destructor or a weak reference's callback, and
+    prints it. An interruption that is dropped there comes again a moment later, and isn't printed.
+
+    Args:
+        ends_process: Whether the process ends with the context: later signals are then ignored,
+            where they would be handled by what is already taken down.
+
+    Attributes:
+        came: Whether a signal has come.
+    """
+
+    def __init__(self, *, ends_process: bool) -> None:
+        self.came = False
+        self._ends_process = ends_process
+        self._first_s = 0.0
+        self._handlers: dict[int, Any] = {}
+
+    def __enter__(self) -> Interruption:
+        if threading.current_thread() is threading.main_thread():
+            for number in SIGNALS:
+                if signal.getsignal(number) is not signal.SIG_IGN:  # a script's background job
+                    self._handlers[number] = signal.signal(number, self._interrupt)
+            self._handlers[signal.SIGALRM] = signal.signal(signal.SIGALRM, self._interrupt_again)
+            self._hook, sys.unraisablehook = sys.unraisablehook, self._on_dropped
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        for number, handler in self._handlers.items():
+            signal.signal(number, signal.SIG_IGN if self._ends_process else handler)
+        if self._handlers and not self._ends_process:
+            sys.unraisablehook = self._hook
+
+    def _interrupt(self, *_: object) -> None:
+        now = time.monotonic()
+        if not self.came:
+            self.came, self._first_s = True, now
+            raise Interrupted
+        if now - self._first_s > SAME_S:
+            os._exit(EXIT_INTERRUPTED)
+
+    def _interrupt_again(self, *_: object) -> None:
+        raise Interrupted
+
+    def _on_dropped(self, dropped: sys.UnraisableHookArgs) -> None:
+        if self.came and isinstance(dropped.exc_value, KeyboardInterrupt):
+            signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
+        else:
+            self._hook(dropped)
+
+
+@contextmanager
+def told_to_end() -> Iterator[Event]:
+    """An event that SIGINT and SIGTERM set, for commands that run until they are told to end.
+
+    A later signal ends the process at once.
+    """
+    event = Event()
+    first_s = 0.0
+
+    def note(*_: object) -> None:
+        nonlocal first_s
+        if not event.is_set():
+            first_s = time.monotonic()
+            event.set()
+        elif time.monotonic() - first_s > SAME_S:
+            os._exit(EXIT_INTERRUPTED)
+
+    before = {number: signal.signal(number, note) for number in SIGNALS}
+    try:
+        yield event
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
