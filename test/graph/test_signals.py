@@ -74,7 +74,8 @@ def test_a_signal_at_any_moment_of_the_start(
             try:
                 deadline = time.monotonic() + LIMIT_S
                 while not handles_sigterm(process):
-                    assert process.poll() is None and time.monotonic() < deadline
+                    assert process.poll() is None
+                    assert time.monotonic() < deadline
                 with pytest.raises(subprocess.TimeoutExpired):
                     process.wait(moment * STEP_S)
                 process.send_signal(number)
