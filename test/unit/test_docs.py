@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from typer.main import get_command
 
-from geoorbit_ros.cli.main import app
+from geoorbit_ros.cli.app import app
 
 REPOSITORY = Path(__file__).parents[2]
 GUIDES = [
