@@ -1,9 +1,7 @@
 """Messages from arrays and back: the only module that knows both.
 
 What is big or frequent becomes serialised CDR at once (raw publishers take bytes), because a
-message of a thousand poses costs rclpy tens of milliseconds to fill and serialise. Layout: OMG
-DDS-RTPS 2.5 section 10, little-endian plain CDR; numbers are aligned to their size, counted from
-after the 4-byte encapsulation header.
+message of a thousand poses costs rclpy tens of milliseconds to fill and serialise.
 """
 
 from __future__ import annotations
@@ -28,6 +26,7 @@ from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.core.cdr import ENCAPSULATION, SECOND_NS, CdrReader, CdrWriter
 from geoorbit_ros.core.errors import MessageError
 from geoorbit_ros.core.lanes import Lane, LaneMap
 from geoorbit_ros.storage.pointcloud2 import decode_table, encode_table
@@ -59,9 +58,14 @@ __all__ = [
     "vehicle_poses",
 ]
 
-_CDR_HEAD = b"\x00\x01\x00\x00"
 _POSE = np.dtype([("position", "<f8", 3), ("orientation", "<f8", 4)])
 """geometry_msgs/Pose: x y z, then the quaternion x y z w."""
+_PLACE = struct.Struct("<2d40x")
+"""The same when only x and y are wanted."""
+_OWN_HEADER = struct.Struct("<8xI")
+"""Stamp and length of the frame that each pose of a path has again."""
+_DIMENSION = struct.Struct("<II")
+"""Size and stride of std_msgs/MultiArrayDimension, after its label."""
 
 
 def message_class(message_type: str) -> type | None:
@@ -76,18 +80,20 @@ def message_class(message_type: str) -> type | None:
 
 def time_from_ns(stamp_ns: int) -> Time:
     """`builtin_interfaces/Time` of nanoseconds."""
-    second, nanosecond = divmod(stamp_ns, 1_000_000_000)
+    second, nanosecond = divmod(stamp_ns, SECOND_NS)
     return Time(sec=second, nanosec=nanosecond)
 
 
 def encode_clock(stamp_ns: int) -> bytes:
     """`rosgraph_msgs/Clock`, serialised."""
-    return _CDR_HEAD + struct.pack("<iI", *divmod(stamp_ns, 1_000_000_000))
+    return ENCAPSULATION + struct.pack("<iI", *divmod(stamp_ns, SECOND_NS))
 
 
 def encode_string(text: str) -> bytes:
     """`std_msgs/String`, serialised."""
-    return _CDR_HEAD + _text(text)
+    writer = CdrWriter()
+    writer.text(text)
+    return writer.message()
 
 
 def decode_string(cdr: bytes, place: str) -> str:
@@ -96,18 +102,15 @@ def decode_string(cdr: bytes, place: str) -> str:
     Raises:
         MessageError: Bytes that are none.
     """
-    try:
-        (size,) = struct.unpack_from("<I", cdr, 4)
-        if cdr[:2] != _CDR_HEAD[:2] or len(cdr) < 8 + size or size < 1:
-            raise MessageError(place, f"{len(cdr)} bytes of another layout", "a std_msgs/String")
-        return cdr[8 : 7 + size].decode()
-    except (struct.error, UnicodeDecodeError):
-        raise MessageError(place, f"{len(cdr)} bytes that break off", "a std_msgs/String") from None
+    return CdrReader(cdr, place, "a std_msgs/String").text()
 
 
 def encode_byte_array(data: bytes) -> bytes:
     """`std_msgs/ByteMultiArray` without a layout, serialised."""
-    return _CDR_HEAD + bytes(8) + struct.pack("<I", len(data)) + data
+    writer = CdrWriter()
+    writer.raw(bytes(8))  # no dimensions, offset 0
+    writer.data(data)
+    return writer.message()
 
 
 def decode_byte_array(cdr: bytes, place: str) -> bytes:
@@ -116,21 +119,15 @@ def decode_byte_array(cdr: bytes, place: str) -> bytes:
     Raises:
         MessageError: Bytes that are none.
     """
-    expected = "a std_msgs/ByteMultiArray"
-    try:
-        if cdr[:2] != _CDR_HEAD[:2]:
-            raise MessageError(place, f"{len(cdr)} bytes of another layout", expected)
-        dimensions, at = struct.unpack_from("<I", cdr, 4)[0], 8
-        for _ in range(dimensions):  # label, size, stride
-            at += 4 + struct.unpack_from("<I", cdr, at)[0]
-            at += -at % 4 + 8
-            struct.unpack_from("<I", cdr, at)  # ends the loop where the bytes end
-        (size,) = struct.unpack_from("<I", cdr, at + 4)
-    except struct.error:
-        size, at = len(cdr), 0
-    if len(cdr) - (at + 8) not in range(size, size + 4):  # some writers pad to four bytes
-        raise MessageError(place, f"{len(cdr)} bytes that break off", expected)
-    return cdr[at + 8 : at + 8 + size]
+    reader = CdrReader(cdr, place, "a std_msgs/ByteMultiArray")
+    for _ in range(reader.whole("I")):
+        reader.data()  # label
+        reader.unpack(_DIMENSION)
+    reader.number("I")  # offset
+    data = bytes(reader.data())
+    if reader.left >= 4:  # some writers pad to four bytes
+        reader.end()
+    return data
 
 
 def encode_compressed_image(stamp_ns: int, frame_id: str, kind: str, data: bytes) -> bytes:
@@ -142,8 +139,11 @@ def encode_compressed_image(stamp_ns: int, frame_id: str, kind: str, data: bytes
         kind: The message's `format`, such as `bgr8; jpeg compressed bgr8`.
         data: The compressed image.
     """
-    head = _header(stamp_ns, frame_id) + _text(kind, 4) + struct.pack("<I", len(data))
-    return _CDR_HEAD + head + data
+    writer = CdrWriter()
+    writer.header(stamp_ns, frame_id)
+    writer.text(kind)
+    writer.number("I", len(data))
+    return writer.message(data)
 
 
 def encode_pose_array(
@@ -158,24 +158,33 @@ def encode_pose_array(
         heading_rad: (N,) counter-clockwise from east.
     """
     poses = _poses(xy_m, heading_rad)
-    head = _header(stamp_ns, frame_id) + struct.pack("<I", len(poses))
-    return _CDR_HEAD + (_aligned(head) if len(poses) else head) + poses.tobytes()
+    writer = CdrWriter()
+    writer.header(stamp_ns, frame_id)
+    writer.number("I", len(poses))
+    if len(poses):
+        writer.align(8)
+    return writer.message(poses.tobytes())
 
 
 def encode_path(stamp_ns: int, frame_id: str, xy_m: ArrayLike, heading_rad: ArrayLike) -> bytes:
     """`nav_msgs/Path` with the same header in every pose, serialised; arguments as above."""
     poses = _poses(xy_m, heading_rad)
-    header = _header(stamp_ns, frame_id)
-    body = header + struct.pack("<I", len(poses))
+    writer = CdrWriter()
+    writer.header(stamp_ns, frame_id)
+    writer.number("I", len(poses))
     if len(poses):
-        first = _aligned(body + header)  # the first pose starts where the sequence's length ends
-        body = first + poses[:1].tobytes()
-        each = _aligned(header)  # all others start on a multiple of eight
+        writer.header(stamp_ns, frame_id)  # the first pose starts where the length ends
+        writer.align(8)
+        writer.raw(poses[:1].tobytes())
+        header = CdrWriter()
+        header.header(stamp_ns, frame_id)
+        header.align(8)  # all others start on a multiple of eight
+        each = header.fields()
         rest = np.empty(len(poses) - 1, dtype=[("header", f"V{len(each)}"), ("pose", _POSE)])
         rest["header"] = np.void(each)
         rest["pose"] = poses[1:]
-        body += rest.tobytes()
-    return _CDR_HEAD + body
+        writer.raw(rest.tobytes())
+    return writer.message()
 
 
 def decode_path(cdr: bytes, place: str) -> tuple[str, NDArray[np.float64]]:
@@ -184,24 +193,15 @@ def decode_path(cdr: bytes, place: str) -> tuple[str, NDArray[np.float64]]:
     Raises:
         MessageError: Bytes that are none, or positions that are not finite.
     """
-    expected = "a nav_msgs/Path with finite positions"
-    try:
-        (size,) = struct.unpack_from("<I", cdr, 12)
-        frame_id = cdr[16 : 15 + size].decode()
-        at = 16 + size + -size % 4
-        (number,) = struct.unpack_from("<I", cdr, at)
-        at += 4
-        xy_m = np.empty((min(number, len(cdr) // 56), 2))
-        for k in range(number):
-            at += 8  # the pose's own stamp
-            at += 4 + struct.unpack_from("<I", cdr, at)[0]
-            at += -(at - 4) % 8
-            xy_m[k] = struct.unpack_from("<2d", cdr, at)
-            at += 56
-    except (struct.error, UnicodeDecodeError, IndexError):
-        raise MessageError(place, f"{len(cdr)} bytes that break off", expected) from None
-    if cdr[:2] != _CDR_HEAD[:2] or at > len(cdr) or not np.isfinite(xy_m).all():
-        raise MessageError(place, f"{len(cdr)} bytes of another content", expected)
+    reader = CdrReader(cdr, place, "a nav_msgs/Path")
+    _, frame_id = reader.header()
+    number = reader.whole("I")
+    xy_m = np.empty((min(number, reader.left // _POSE.itemsize), 2))
+    for k in range(number):
+        reader.skip(reader.unpack(_OWN_HEADER)[0])
+        xy_m[k] = reader.unpack(_PLACE, 8)
+    if not np.isfinite(xy_m).all():
+        raise MessageError(place, "a position that is not finite", "a nav_msgs/Path of metres")
     return frame_id, xy_m
 
 
@@ -378,18 +378,3 @@ def _poses(xy_m: ArrayLike, heading_rad: ArrayLike) -> NDArray[np.void]:
     poses["orientation"][:, 2] = np.sin(half)
     poses["orientation"][:, 3] = np.cos(half)
     return poses
-
-
-def _header(stamp_ns: int, frame_id: str) -> bytes:
-    """`std_msgs/Header`, padded to four bytes as the number after it needs."""
-    return struct.pack("<iI", *divmod(stamp_ns, 1_000_000_000)) + _text(frame_id, 4)
-
-
-def _text(text: str, alignment: int = 1) -> bytes:
-    raw = text.encode() + b"\x00"
-    return struct.pack("<I", len(raw)) + raw + b"\x00" * (-len(raw) % alignment)
-
-
-def _aligned(part: bytes) -> bytes:
-    """Padded so that an 8-byte number may follow; `part` starts on a multiple of eight."""
-    return part + b"\x00" * (-len(part) % 8)

@@ -15,7 +15,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import (
 )
 
 from geoorbit_ros.federated.errors import FederationError, PayloadError, Refusal
-from geoorbit_ros.federated.payloads.envelope import SIGNATURE_BYTES, UNSIGNED
+from geoorbit_ros.federated.payloads.header import SIGNATURE_BYTES, UNSIGNED
 
 
 class Signer:

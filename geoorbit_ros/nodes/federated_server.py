@@ -13,7 +13,7 @@ from std_msgs.msg import String
 
 from geoorbit_ros.federated.errors import FederationError
 from geoorbit_ros.federated.keys import Roster, Signer, read_private_key
-from geoorbit_ros.federated.payloads.envelope import schema_of
+from geoorbit_ros.federated.payloads.header import schema_of
 from geoorbit_ros.federated.privacy.coordinator import MIN_CLIENTS
 from geoorbit_ros.federated.privacy.message import SCHEMA as SECURE
 from geoorbit_ros.federated.rounds.server import FederatedServer

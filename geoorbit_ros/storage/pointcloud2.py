@@ -1,7 +1,6 @@
 """Tables as `sensor_msgs/msg/PointCloud2` in CDR, without a Python object per row or field.
 
-Layout: OMG DDS-RTPS 2.5 section 10 (encapsulation, little-endian plain CDR) around
-sensor_msgs/PointCloud2. Alignment counts from after the 4-byte encapsulation header.
+The bytes are those of `core.cdr`; blocks that all messages of a topic share are made once.
 """
 
 from __future__ import annotations
@@ -12,9 +11,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.core.cdr import ENCAPSULATION, SECOND_NS, CdrReader, CdrWriter
 from geoorbit_ros.core.errors import MessageError, TableError
 
 MESSAGE_TYPE = "sensor_msgs/msg/PointCloud2"
+_KIND = f"a {MESSAGE_TYPE}"
 
 _DATATYPE = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
 """sensor_msgs/PointField constants by numpy type."""
@@ -23,9 +24,8 @@ _DATATYPE_NAME = dict(
 )
 _NUMPY_TYPE = {number: np.dtype(code).newbyteorder("<").str for code, number in _DATATYPE.items()}
 
-_CDR_LE = b"\x00\x01"
-_U32 = struct.Struct("<I")
-_HEADER = struct.Struct("<4xiII")  # encapsulation, stamp, length of frame_id
+_STAMP = struct.Struct("<iI")
+_NUMBER = struct.Struct("<I")  # of fields
 _SHAPE = struct.Struct("<II")  # height, width
 _FIELD_END = struct.Struct("<IB3xI")  # offset, datatype, count
 _DATA_HEAD = struct.Struct("<?3xIII")  # is_bigendian, point_step, row_step, length of data
@@ -43,15 +43,15 @@ def encode_table(stamp_ns: int, frame_id: str, rows: NDArray[np.void]) -> bytes:
         TableError: A stamp that `builtin_interfaces/Time` can't hold, or a field type that
             PointCloud2 has no number for.
     """
-    second, nanosecond = divmod(int(stamp_ns), 1_000_000_000)
+    second, nanosecond = divmod(int(stamp_ns), SECOND_NS)
     size = len(rows) * rows.dtype.itemsize
     try:
-        stamp = struct.pack("<iI", second, nanosecond)
+        stamp = _STAMP.pack(second, nanosecond)
     except struct.error:
         raise TableError("message stamp", f"{stamp_ns} ns", "seconds that fit in 32 bits") from None
     return b"".join(
         (
-            b"\x00\x01\x00\x00",
+            ENCAPSULATION,
             stamp,
             _frame_block(frame_id),
             _SHAPE.pack(1, len(rows)),
@@ -81,35 +81,14 @@ def decode_table(
             that field in another datatype.
     """
     data = bytes(cdr)
-    try:
-        return _decode(data, dtype, place)
-    except (struct.error, UnicodeDecodeError, IndexError):
-        raise MessageError(
-            place, f"{len(data)} bytes that end or break within the message", f"a {MESSAGE_TYPE}"
-        ) from None
-
-
-def _decode(data: bytes, dtype: np.dtype[np.void], place: str) -> tuple[int, str, NDArray[np.void]]:
-    if data[:2] != _CDR_LE:
-        raise MessageError(place, f"CDR encapsulation 0x{data[:2].hex()}", "0x0001, little-endian")
-    second, nanosecond, length = _HEADER.unpack_from(data)
-    at = 16 + length
-    frame_id = data[16 : at - 1].decode()
-    at += -at % 4
-    height, width = _SHAPE.unpack_from(data, at)
-    at += 8
-    own_fields = _field_block(dtype)
-    fields = None  # the fields are exactly those of dtype: nothing to look up
-    if data.startswith(own_fields, at):
-        at += len(own_fields)
-    else:
-        fields, at = _read_fields(data, at)
-    big_endian, point_step, row_step, size = _DATA_HEAD.unpack_from(data, at)
-    at += _DATA_HEAD.size
+    reader = CdrReader(data, place, _KIND)
+    stamp_ns, frame_id = reader.header()
+    height, width = reader.unpack(_SHAPE)
+    # Most messages have exactly the fields of dtype: then there is nothing to look up.
+    fields = None if reader.skip_block(_field_block(dtype)) else _read_fields(reader)
+    big_endian, point_step, row_step, size = reader.unpack(_DATA_HEAD)
     if big_endian:
         raise MessageError(place, "big-endian points", "little-endian points")
-    if nanosecond >= 1_000_000_000:
-        raise MessageError(place, f"a stamp with {nanosecond} nanoseconds", "less than 10^9")
     if fields is not None:
         layout = _layout(fields, point_step, dtype, place)
     elif point_step == dtype.itemsize:
@@ -123,29 +102,20 @@ def _decode(data: bytes, dtype: np.dtype[np.void], place: str) -> tuple[int, str
             f"{size} bytes of data",
             "row_step = width x point_step, and height x row_step bytes of data",
         )
-    if len(data) < at + size + 1:
-        raise MessageError(
-            place, f"{max(len(data) - at - 1, 0)} bytes of data", f"{size} as announced"
-        )
-    rows = np.frombuffer(data, layout, height * width, at)
+    left = reader.left
+    if left < size + 1:
+        found = f"{max(left - 1, 0)} bytes of data"
+        raise MessageError(place, found, f"{size} as announced")
+    rows = np.frombuffer(data, layout, height * width, len(data) - left)
     # Either way a copy in the layout of dtype: aligned, writable, independent of the message.
     rows = rows.copy() if layout is dtype else rows.astype(dtype)
-    return second * 1_000_000_000 + nanosecond, frame_id, rows
+    return stamp_ns, frame_id, rows
 
 
-def _read_fields(data: bytes, at: int) -> tuple[tuple[tuple[str, int, int, int], ...], int]:
-    """The PointField sequence at `at` as (name, offset, datatype, count), and where it ends."""
-    (number,) = _U32.unpack_from(data, at)
-    at += 4
-    fields = []
-    for _ in range(number):
-        (length,) = _U32.unpack_from(data, at)
-        name = data[at + 4 : at + 3 + length].decode()
-        at += 4 + length
-        at += -at % 4
-        fields.append((name, *_FIELD_END.unpack_from(data, at)))
-        at += 12
-    return tuple(fields), at
+def _read_fields(reader: CdrReader) -> tuple[tuple[str, int, int, int], ...]:
+    """The PointField sequence as (name, offset, datatype, count)."""
+    (number,) = reader.unpack(_NUMBER)
+    return tuple((reader.text(), *reader.unpack(_FIELD_END)) for _ in range(number))
 
 
 @lru_cache(maxsize=64)
@@ -191,21 +161,23 @@ def _layout(
 @lru_cache(maxsize=256)
 def _frame_block(frame_id: str) -> bytes:
     """`frame_id` with its length, padded; it starts 8 bytes after the encapsulation header."""
-    text = frame_id.encode() + b"\x00"
-    return _U32.pack(len(text)) + text + b"\x00" * (-len(text) % 4)
+    writer = CdrWriter()
+    writer.text(frame_id)
+    writer.align(4)
+    return writer.fields()
 
 
 @lru_cache(maxsize=64)
 def _field_block(dtype: np.dtype[np.void]) -> bytes:
     """The PointField sequence that describes `dtype`; starts and ends on 4-byte boundaries."""
-    parts = [_U32.pack(len(dtype.names or ()))]
+    writer = CdrWriter()
+    writer.pack(_NUMBER, len(dtype.names or ()))
     for name, (kind, offset) in ((n, f[:2]) for n, f in (dtype.fields or {}).items()):
         code = kind.str[1:]
         if kind.str[0] == ">" or code not in _DATATYPE:
             raise TableError(
                 f"table field '{name}'", kind.str, f"one of {', '.join(_DATATYPE)}, little-endian"
             )
-        text = name.encode() + b"\x00"
-        parts += [_U32.pack(len(text)), text, b"\x00" * (-len(text) % 4)]
-        parts.append(_FIELD_END.pack(offset, _DATATYPE[code], 1))
-    return b"".join(parts)
+        writer.text(name)
+        writer.pack(_FIELD_END, offset, _DATATYPE[code], 1)
+    return writer.fields()

@@ -9,12 +9,12 @@ import struct
 from dataclasses import dataclass
 
 from geoorbit_ros.federated.errors import PayloadError, Refusal
-from geoorbit_ros.federated.payloads.envelope import SIGNATURE_BYTES, check_prefix, prefix
+from geoorbit_ros.federated.payloads.header import SIGNATURE_BYTES, check_header, header_bytes
 
 SCHEMA, VERSION = "update", 3
-_PREFIX = prefix(SCHEMA, VERSION)
+_HEADER = header_bytes(SCHEMA, VERSION)
 _FIELDS = struct.Struct("<BBIIIIffI")
-_HEADER_BYTES = len(_PREFIX) + _FIELDS.size
+_HEADER_BYTES = len(_HEADER) + _FIELDS.size
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,7 @@ class ClientUpdate:
             self.gain,
             len(self.data),
         )
-        return _PREFIX + fields + self.data
+        return _HEADER + fields + self.data
 
     @classmethod
     def decode(cls, payload: bytes) -> ClientUpdate:
@@ -55,14 +55,14 @@ class ClientUpdate:
         Raises:
             PayloadError: TOO_LONG, TRUNCATED, FOREIGN, VERSION or MALFORMED.
         """
-        check_prefix(payload, SCHEMA, VERSION)
+        check_header(payload, SCHEMA, VERSION)
         end = len(payload) - SIGNATURE_BYTES
         if end < _HEADER_BYTES:
             found = f"{len(payload)} bytes"
             expected = f"{_HEADER_BYTES + SIGNATURE_BYTES} or more"
             raise PayloadError(Refusal.TRUNCATED, SCHEMA, found, expected)
         encoding, flags, number, model, client, samples, loss, gain, length = _FIELDS.unpack_from(
-            payload, len(_PREFIX)
+            payload, len(_HEADER)
         )
         if flags:
             raise PayloadError(Refusal.MALFORMED, SCHEMA, f"flags {flags}", "0")

@@ -8,8 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from geoorbit_ros.federated.errors import PayloadError, Refusal
-from geoorbit_ros.federated.payloads.cdr import CdrReader, CdrWriter
-from geoorbit_ros.federated.payloads.envelope import SIGNATURE_BYTES, check_prefix
+from geoorbit_ros.federated.payloads.header import PayloadReader, begin_payload
 from geoorbit_ros.federated.payloads.model_layout import ModelLayout
 
 SCHEMA, VERSION = "model", 3
@@ -35,9 +34,7 @@ class GlobalModel:
 
     def unsigned(self) -> bytes:
         """The serialisation up to the signature, which is to be appended."""
-        writer = CdrWriter()
-        writer.text(SCHEMA)
-        writer.number("H", VERSION)
+        writer = begin_payload(SCHEMA, VERSION)
         writer.number("B", self.encoding)
         writer.number("B", self.flags)
         numbers = (self.run, self.round, self.model, self.interface, self.approved, self.judges)
@@ -49,7 +46,7 @@ class GlobalModel:
         writer.numbers("I", [len(shape) for shape in self.layout.shapes])
         writer.numbers("I", [extent for shape in self.layout.shapes for extent in shape])
         writer.data(self.data)
-        return writer.payload()
+        return writer.message()
 
     @classmethod
     def decode(cls, payload: bytes) -> GlobalModel:
@@ -58,10 +55,7 @@ class GlobalModel:
         Raises:
             PayloadError: TOO_LONG, TRUNCATED, FOREIGN, VERSION, MALFORMED, SHAPE or NOT_FINITE.
         """
-        check_prefix(payload, SCHEMA, VERSION)
-        reader = CdrReader(payload, SCHEMA)
-        reader.text()
-        reader.number("H")
+        reader = PayloadReader(payload, SCHEMA, VERSION)
         encoding, flags = reader.whole("B"), reader.whole("B")
         run, number, model, interface, approved, judges = (reader.whole("I") for _ in range(6))
         proximal_mu = reader.number("f")
@@ -70,9 +64,8 @@ class GlobalModel:
             raise PayloadError(Refusal.NOT_FINITE, SCHEMA, found, "a number from 0")
         clients = tuple(reader.numbers("I").tolist())
         layout = _layout(reader)
-        data = reader.data()
-        reader.fixed(SIGNATURE_BYTES)
-        reader.end()
+        data = bytes(reader.data())
+        reader.finish()
         return cls(
             encoding,
             flags,
@@ -89,7 +82,7 @@ class GlobalModel:
         )
 
 
-def _layout(reader: CdrReader) -> ModelLayout:
+def _layout(reader: PayloadReader) -> ModelLayout:
     names = reader.texts()
     ranks = reader.numbers("I").tolist()
     extents = reader.numbers("I").tolist()

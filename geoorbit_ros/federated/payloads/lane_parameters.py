@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.federated.errors import PayloadError, Refusal
 from geoorbit_ros.federated.keys import Verifier
-from geoorbit_ros.federated.payloads.cdr import CdrReader, CdrWriter
-from geoorbit_ros.federated.payloads.envelope import SIGNATURE_BYTES, check_prefix
+from geoorbit_ros.federated.payloads.header import PayloadReader, begin_payload
 from geoorbit_ros.lanes.parameters import BOUNDS, LaneParameters
 
 SCHEMA, VERSION = "theta", 3
@@ -28,15 +27,13 @@ class ThetaPayload:
 
     def unsigned(self) -> bytes:
         """The serialisation up to the signature, which is to be appended."""
-        writer = CdrWriter()
-        writer.text(SCHEMA)
-        writer.number("H", VERSION)
+        writer = begin_payload(SCHEMA, VERSION)
         writer.text(self.camera_id)
         for number in (self.run, self.round, self.model):
             writer.number("I", number)
         writer.texts(list(self.values))
         writer.numbers("d", list(self.values.values()))
-        return writer.payload()
+        return writer.message()
 
     @classmethod
     def decode(cls, payload: bytes) -> ThetaPayload:
@@ -45,16 +42,12 @@ class ThetaPayload:
         Raises:
             PayloadError: TOO_LONG, TRUNCATED, FOREIGN, VERSION, MALFORMED, SHAPE or NOT_FINITE.
         """
-        check_prefix(payload, SCHEMA, VERSION)
-        reader = CdrReader(payload, SCHEMA)
-        reader.text()
-        reader.number("H")
+        reader = PayloadReader(payload, SCHEMA, VERSION)
         camera_id = reader.text()
         run, number, model = (reader.whole("I") for _ in range(3))
         names = reader.texts()
         values = [float(value) for value in reader.numbers("d").tolist()]
-        reader.fixed(SIGNATURE_BYTES)
-        reader.end()
+        reader.finish()
         if len(names) != len(values) or len(set(names)) != len(names):
             found = f"{len(values)} values for the names {', '.join(names)[:80]}"
             raise PayloadError(Refusal.SHAPE, SCHEMA, found, "one value per name")

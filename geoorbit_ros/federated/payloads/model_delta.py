@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from geoorbit_ros.federated.payloads.cdr import CdrReader, CdrWriter
-from geoorbit_ros.federated.payloads.envelope import SIGNATURE_BYTES, check_prefix
+from geoorbit_ros.federated.payloads.header import PayloadReader, begin_payload
 
 SCHEMA, VERSION = "delta", 2
 
@@ -25,16 +24,14 @@ class ModelDelta:
 
     def unsigned(self) -> bytes:
         """The serialisation up to the signature, which is to be appended."""
-        writer = CdrWriter()
-        writer.text(SCHEMA)
-        writer.number("H", VERSION)
+        writer = begin_payload(SCHEMA, VERSION)
         writer.number("B", self.encoding)
         writer.number("B", self.flags)
         for number in (self.round, self.base, self.model, self.approved):
             writer.number("I", number)
         writer.numbers("I", self.clients)
         writer.data(self.data)
-        return writer.payload()
+        return writer.message()
 
     @classmethod
     def decode(cls, payload: bytes) -> ModelDelta:
@@ -43,14 +40,10 @@ class ModelDelta:
         Raises:
             PayloadError: TOO_LONG, TRUNCATED, FOREIGN, VERSION or MALFORMED.
         """
-        check_prefix(payload, SCHEMA, VERSION)
-        reader = CdrReader(payload, SCHEMA)
-        reader.text()
-        reader.number("H")
+        reader = PayloadReader(payload, SCHEMA, VERSION)
         encoding, flags = reader.whole("B"), reader.whole("B")
         number, base, model, approved = (reader.whole("I") for _ in range(4))
         clients = tuple(reader.numbers("I").tolist())
-        data = reader.data()
-        reader.fixed(SIGNATURE_BYTES)
-        reader.end()
+        data = bytes(reader.data())
+        reader.finish()
         return cls(encoding, flags, number, base, model, approved, clients, data)

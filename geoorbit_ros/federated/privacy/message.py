@@ -9,8 +9,7 @@ from enum import IntEnum
 from typing import TypeVar
 
 from geoorbit_ros.federated.errors import PayloadError, Refusal
-from geoorbit_ros.federated.payloads.cdr import CdrReader, CdrWriter
-from geoorbit_ros.federated.payloads.envelope import SIGNATURE_BYTES, check_prefix
+from geoorbit_ros.federated.payloads.header import PayloadReader, begin_payload
 
 SCHEMA, VERSION = "secure", 2
 Key = TypeVar("Key", bound=tuple[int, ...])
@@ -41,15 +40,13 @@ class SecureMessage:
 
     def unsigned(self) -> bytes:
         """The serialisation up to the signature, which is to be appended."""
-        writer = CdrWriter()
-        writer.text(SCHEMA)
-        writer.number("H", VERSION)
+        writer = begin_payload(SCHEMA, VERSION)
         writer.number("B", self.stage)
         writer.number("B", 0)
         for number in (self.round, self.model, self.session, self.sender):
             writer.number("I", number)
         writer.data(self.data)
-        return writer.payload()
+        return writer.message()
 
     @classmethod
     def decode(cls, payload: bytes) -> SecureMessage:
@@ -58,18 +55,14 @@ class SecureMessage:
         Raises:
             PayloadError: TOO_LONG, TRUNCATED, FOREIGN, VERSION or MALFORMED.
         """
-        check_prefix(payload, SCHEMA, VERSION)
-        reader = CdrReader(payload, SCHEMA)
-        reader.text()
-        reader.number("H")
+        reader = PayloadReader(payload, SCHEMA, VERSION)
         stage, flags = reader.whole("B"), reader.whole("B")
         if stage > max(Stage) or flags:
             found = f"stage {stage}, flags {flags}"
             raise PayloadError(Refusal.MALFORMED, SCHEMA, found, "stage 0 to 6, flags 0")
         number, model, session, sender = (reader.whole("I") for _ in range(4))
-        data = reader.data()
-        reader.fixed(SIGNATURE_BYTES)
-        reader.end()
+        data = bytes(reader.data())
+        reader.finish()
         return cls(Stage(stage), number, model, session, sender, data)
 
 

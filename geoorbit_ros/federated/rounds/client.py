@@ -12,7 +12,6 @@ from geoorbit_ros.federated.encodings.floats import Float32
 from geoorbit_ros.federated.errors import PayloadError, Refusal
 from geoorbit_ros.federated.keys import Signer, Verifier, client_id
 from geoorbit_ros.federated.payloads.client_update import ClientUpdate
-from geoorbit_ros.federated.payloads.envelope import UNSIGNED, schema_of
 from geoorbit_ros.federated.payloads.global_model import (
     ASYNCHRONOUS,
     FINAL,
@@ -20,6 +19,7 @@ from geoorbit_ros.federated.payloads.global_model import (
     MASKED,
     GlobalModel,
 )
+from geoorbit_ros.federated.payloads.header import UNSIGNED, schema_of
 from geoorbit_ros.federated.payloads.model_delta import SCHEMA as DELTA
 from geoorbit_ros.federated.payloads.model_delta import ModelDelta
 from geoorbit_ros.federated.payloads.model_layout import Tensors, Vector

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 
 from geoorbit_ros.federated.errors import FederationError, PayloadError, Refusal
-from geoorbit_ros.federated.payloads.envelope import schema_of
+from geoorbit_ros.federated.payloads.header import schema_of
 from geoorbit_ros.federated.privacy.message import SCHEMA as SECURE
 from geoorbit_ros.federated.rounds.client import FederatedClient, LocalResult, Work
 from geoorbit_ros.federated.rounds.server import FederatedServer

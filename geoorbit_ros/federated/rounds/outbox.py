@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from geoorbit_ros.federated.payloads.client_update import SCHEMA
-from geoorbit_ros.federated.payloads.envelope import schema_of
+from geoorbit_ros.federated.payloads.header import schema_of
 from geoorbit_ros.federated.rounds.client import FederatedClient
 
 

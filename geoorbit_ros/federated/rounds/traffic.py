@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from geoorbit_ros.core.errors import ParameterError
-from geoorbit_ros.federated.payloads.envelope import FRAMING_BYTES
+from geoorbit_ros.federated.payloads.header import FRAMING_BYTES
 
 
 @dataclass(slots=True)

@@ -13,8 +13,8 @@ from geoorbit_ros.federated.errors import PayloadError, Refusal
 from geoorbit_ros.federated.payloads import client_update, global_model, model_delta
 from geoorbit_ros.federated.payloads import lane_parameters as theta
 from geoorbit_ros.federated.payloads.client_update import ClientUpdate
-from geoorbit_ros.federated.payloads.envelope import UNSIGNED, schema_of
 from geoorbit_ros.federated.payloads.global_model import GlobalModel
+from geoorbit_ros.federated.payloads.header import UNSIGNED, schema_of
 from geoorbit_ros.federated.payloads.lane_parameters import ThetaPayload
 from geoorbit_ros.federated.payloads.model_delta import ModelDelta
 from geoorbit_ros.federated.payloads.model_layout import ModelLayout

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from geoorbit_ros.federated.errors import FederationError, PayloadError, Refusal
-from geoorbit_ros.federated.payloads.envelope import schema_of
+from geoorbit_ros.federated.payloads.header import schema_of
 from geoorbit_ros.federated.privacy import shamir
 from geoorbit_ros.federated.privacy.coordinator import Coordinator
 from geoorbit_ros.federated.privacy.message import (
