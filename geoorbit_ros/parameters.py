@@ -44,6 +44,7 @@ class ParameterSpec:
         above: The value must be greater than this.
         choices: The only values accepted.
         not_empty: Whether an empty string is refused.
+        renamed_from: What it was called before; that name still works, with a warning.
         plugin: Kind of `core.plugins` whose names are accepted, and files where it takes them.
     """
 
@@ -56,6 +57,7 @@ class ParameterSpec:
     above: float | None = None
     choices: tuple[Value, ...] = ()
     not_empty: bool = False
+    renamed_from: str = ""
     plugin: str = ""
 
     @property
@@ -134,12 +136,13 @@ def _spec(name: str, entry: dict[str, Any], place: str) -> ParameterSpec:
     where = f"{place}, parameter '{name}'"
     if rest.get("type") not in _TYPES:
         raise ParameterError(where, f"type {rest.get('type')}", " or ".join(_TYPES))
-    unknown = (set(rest) - {"type", "default_value", "description", "read_only"}) | (
-        set(rules) - {"bounds", "gt", "one_of", "not_empty", "plugin"}
-    )
+    unknown = (
+        set(rest) - {"type", "default_value", "description", "read_only", "renamed_from"}
+    ) | (set(rules) - {"bounds", "gt", "one_of", "not_empty", "plugin"})
     if unknown or "default_value" not in rest or not rest.get("description"):
         found = f"keys {', '.join(sorted({*rest, *rules}))}"
-        raise ParameterError(where, found, "type, default_value, description, read_only, rules")
+        expected_keys = "type, default_value, description, read_only, renamed_from, rules"
+        raise ParameterError(where, found, expected_keys)
     return ParameterSpec(
         name=name,
         kind=rest["type"],
@@ -148,10 +151,18 @@ def _spec(name: str, entry: dict[str, Any], place: str) -> ParameterSpec:
         read_only=bool(rest.get("read_only", False)),
         bounds=tuple(rules["bounds"]) if "bounds" in rules else None,
         above=rules["gt"][0] if "gt" in rules else None,
+        renamed_from=str(rest.get("renamed_from", "")),
         plugin=rules["plugin"][0] if "plugin" in rules else "",
         choices=tuple(rules["one_of"][0]) if "one_of" in rules else (),
         not_empty="not_empty" in rules,
     )
+
+
+def spec_by_name(schema: str) -> dict[str, ParameterSpec]:
+    """The parameters of a schema by their names, those of before a renaming included."""
+    specs = load_schema(schema)
+    old = {spec.renamed_from: spec for spec in specs if spec.renamed_from}
+    return old | {spec.name: spec for spec in specs}
 
 
 class NodeParameters(Generic[Struct]):
@@ -198,8 +209,24 @@ class NodeParameters(Generic[Struct]):
             read_only=spec.read_only,
             dynamic_typing=True,
         )
-        found = node.declare_parameter(spec.name, spec.default, descriptor).value
+        start = self._renamed(node, spec) if spec.renamed_from else spec.default
+        found = node.declare_parameter(spec.name, start, descriptor).value
         return spec.checked(found, self._place)
+
+    @staticmethod
+    def _renamed(node: Node, spec: ParameterSpec) -> Value:
+        """The value that was given under the parameter's old name, else the default."""
+        old = spec.renamed_from
+        given: Value | None = node.declare_parameter(
+            old, None, ParameterDescriptor(dynamic_typing=True)
+        ).value
+        node.undeclare_parameter(old)
+        if given is None:
+            return spec.default
+        node.get_logger().warning(
+            f"parameter '{old}' is now called '{spec.name}'; the old name ends with 0.2.0"
+        )
+        return given
 
     def _on_set(self, changes: Sequence[Parameter]) -> SetParametersResult:
         known = [change for change in changes if change.name in self._specs]

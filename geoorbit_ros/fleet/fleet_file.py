@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from geoorbit_ros.core.errors import InputFileError, ParameterError
 from geoorbit_ros.core.resources import share_path
-from geoorbit_ros.parameters import load_schema
+from geoorbit_ros.parameters import load_schema, spec_by_name
 from geoorbit_ros.storage.yaml_file import StrictModel, WrongValue, read_yaml
 
 FOLDER = "params/fleets"
@@ -240,7 +240,7 @@ def check_parameters(
     Raises:
         WrongValue: No such parameter, or a value that it can't have.
     """
-    specs = {spec.name: spec for spec in load_schema(node)} if values else {}
+    specs = spec_by_name(node) if values else {}
     for name, value in values.items():
         if name not in specs:
             known = ", ".join(sorted(specs))

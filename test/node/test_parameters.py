@@ -18,7 +18,7 @@ from geoorbit_ros.nodes.lane_geometry import LaneGeometryNode, LaneGeometryParam
 from geoorbit_ros.nodes.recorder import RecorderNode
 from geoorbit_ros.nodes.support.composition import Composition
 from geoorbit_ros.nodes.tracker import TrackerNode
-from geoorbit_ros.parameters import NodeParameters, load_schema
+from geoorbit_ros.parameters import NodeParameters, load_schema, spec_by_name
 
 PARAMS = Path(__file__).parents[2] / "params"
 NODES = (
@@ -119,3 +119,52 @@ def test_a_struct_that_is_not_its_schema_is_refused(nodes: Composition) -> None:
     node = nodes.add(Node("n", context=nodes.context))
     with pytest.raises(ParameterError, match="invented"):
         NodeParameters(node, Other, "lane_geometry")
+
+
+@dataclass(frozen=True)
+class Renamed:
+    """Of the schema below."""
+
+    validate_every: int
+
+
+@pytest.fixture
+def renamed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "renamed.yaml").write_text(
+        "renamed:\n  validate_every: {type: int, default_value: 4, description: Of cameras.,\n"
+        "    renamed_from: judge_every, validation: {bounds<>: [0, 9]}}\n"
+    )
+    monkeypatch.setattr(
+        "geoorbit_ros.parameters.share_path", lambda name: tmp_path / Path(name).name
+    )
+
+
+@pytest.mark.parametrize(
+    ("given", "value", "warned"),
+    [
+        ({}, 4, False),
+        ({"validate_every": 5}, 5, False),
+        ({"judge_every": 6}, 6, True),
+        ({"judge_every": 6, "validate_every": 7}, 7, True),
+    ],
+)
+@pytest.mark.usefixtures("renamed")
+def test_the_old_name_of_a_parameter_works_with_a_warning(
+    nodes: Composition, capfd: pytest.CaptureFixture[str], given: Any, value: int, warned: bool
+) -> None:
+    overrides = [Parameter(key, value=number) for key, number in given.items()]
+    node = nodes.add(Node("n", context=nodes.context, parameter_overrides=overrides))
+    assert NodeParameters(node, Renamed, "renamed").value == Renamed(value)
+    said = "'judge_every' is now called 'validate_every'" in capfd.readouterr().err
+    assert said == warned
+    assert not node.has_parameter("judge_every")
+    assert node.get_parameter("validate_every").value == value
+    assert set(spec_by_name("renamed")) == {"judge_every", "validate_every"}
+
+
+@pytest.mark.usefixtures("renamed")
+def test_a_bad_value_under_the_old_name_is_refused(nodes: Composition) -> None:
+    overrides = [Parameter("judge_every", value=10)]
+    node = nodes.add(Node("n", context=nodes.context, parameter_overrides=overrides))
+    with pytest.raises(ParameterError, match="'validate_every': found 10, expected"):
+        NodeParameters(node, Renamed, "renamed")
