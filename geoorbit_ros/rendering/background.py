@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import cv2
@@ -9,78 +10,39 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.rendering.conditions import Colour, Illumination, channels
-from geoorbit_ros.rendering.raster import coverage
 from geoorbit_ros.rendering.surface import RoadSurface, Strip, shifted
-from geoorbit_ros.rendering.texture import GroundNoise
-from geoorbit_ros.rendering.trees import add_trees
+from geoorbit_ros.rendering.trees import add_skyline, add_trees
 from geoorbit_ros.scenes.camera import PinholeCamera
 
-TREES_M = 900.0
-"""Distance of the wood at the horizon."""
-TREE_HEIGHT_M = (9.0, 26.0)
-TREE: Colour = (0.20, 0.30, 0.25)
-
-
-def add_skyline(
-    picture: NDArray[np.float32], camera: PinholeCamera, light: Illumination, seed: int
-) -> None:
-    """Draw a wood across the horizon into a picture (H, W, 3)."""
-    width, height = camera.image_size
-    column = np.arange(width, dtype=np.float64) + 0.5
-    base, top = (_row_at(camera, column, z) for z in (0.0, 1.0))
-    per_metre = base - top
-    random = np.random.default_rng([seed, 22])
-    heights = _ridge(random, width)
-    low, high = TREE_HEIGHT_M
-    tree = base - per_metre * (low + (high - low) * heights)
-    first, last = np.clip([np.floor(tree.min()), np.ceil(base.max()) + 1], 0, height).astype(int)
-    row = np.arange(first, last)[:, None] + 0.5
-    share = np.clip(row - tree[None, :], 0.0, 1.0) * np.clip(base[None, :] - row, 0.0, 1.0)
-    clear = np.exp(-TREES_M / light.haze_m)
-    leaves = channels(TREE) * (channels(light.ambient) + 0.35 * channels(light.sun))
-    grain = 1.0 + 0.16 * random.standard_normal((last - first, width)).astype(np.float32)
-    colour = (leaves * grain[..., None]) * clear + channels(light.horizon) * (1.0 - clear)
-    part = picture[first:last]
-    part += (colour.astype(np.float32) - part) * share[..., None].astype(np.float32)
-
-
-def _row_at(
-    camera: PinholeCamera, column: NDArray[np.float64], height_m: float
-) -> NDArray[np.float64]:
-    """(W,) row at which a point `height_m` high in the wood is seen, for each column."""
-    inverse = np.linalg.inv(camera.matrix[:, :3])
-    middle = np.full_like(column, 0.5 * camera.image_size[1])
-    ray = np.stack([column, middle, np.ones_like(column)], axis=1) @ inverse.T
-    flat = ray[:, :2] / np.hypot(*ray[:, :2].T)[:, None]
-    place = np.column_stack([camera.centre_m[:2] + TREES_M * flat, np.full(len(column), height_m)])
-    pixel, _ = camera.project(place)
-    return np.asarray(pixel[:, 1])
-
-
-def _ridge(random: np.random.Generator, width: int) -> NDArray[np.float64]:
-    """(width,) heights in [0, 1] of crowns beside each other."""
-    x = np.linspace(0.0, 1.0, width)
-    ridge = np.zeros(width)
-    for octave, share in ((5, 0.5), (17, 0.3), (60, 0.22), (190, 0.14)):
-        knots = random.uniform(size=octave + 2)
-        ridge += share * np.interp(x, np.linspace(0.0, 1.0, octave + 2), knots)
-    return np.clip(ridge / 1.1, 0.0, 1.0)
-
-
 LINE_WIDTH_M = 0.18
+"""Width of painted lines. Chosen: between 0.12 and 0.30 m of German roads (RMS-1)."""
 HORIZON_M = 4000.0
-"""Points further away than this are sky."""
+"""Points farther away than this are sky: haze hides them."""
 VERGE_M = 0.7
-"""Gravel beside the pavement."""
+"""Width of the gravel beside the pavement. Chosen by appearance."""
+SAMPLES = 4
+"""Subpixels per pixel and axis. Chosen: more take time and memory at the start, fewer leave lines
+jagged."""
+NEAR_M = 0.5
+"""What reaches nearer to the camera is not drawn: its projection is unbounded."""
+TILE = 256
+"""Lattice points before the noise repeats; a power of two. Chosen: more take memory."""
+_SHIFT = 4
+"""Fractional bits of OpenCV's polygon corners."""
 
-Picture = NDArray[np.float32]
+FloatImage = NDArray[np.float32]
 """(H, W, 3) blue, green, red; 1 is white."""
 
 GRASS: Colour = (0.20, 0.40, 0.33)
+"""Chosen by appearance, as the colours below."""
 DRY_GRASS: Colour = (0.30, 0.47, 0.50)
+"""Of patches in the land."""
 GRAVEL: Colour = (0.45, 0.50, 0.53)
+"""Of the verge."""
 ASPHALT: Colour = (0.405, 0.40, 0.395)
+"""Dry; darker where it is worn or wet."""
 PAINT: Colour = (0.90, 0.91, 0.91)
+"""Of lines, before wear."""
 
 
 @dataclass(frozen=True)
@@ -89,11 +51,11 @@ class Background:
 
     Attributes:
         albedo: Colours of the ground without light; 0 where the sky or a tree is.
-        lit: The picture.
+        lit: The image.
     """
 
-    albedo: Picture
-    lit: Picture
+    albedo: FloatImage
+    lit: FloatImage
 
 
 def make_background(
@@ -115,18 +77,18 @@ def make_background(
         land *= (1.0 - 0.28 * pavement)[..., None]
     clear = np.exp(-distance / light.haze_m)[..., None]
     sun = channels(light.sun) * np.float32(max(light.sun_direction[2], 0.0))
-    picture = land * (channels(light.ambient) + sun) * clear
-    picture += channels(light.horizon) * (1.0 - clear)
+    image = land * (channels(light.ambient) + sun) * clear
+    image += channels(light.horizon) * (1.0 - clear)
     if wet:
-        picture += _mirror(camera, light, distance, pavement)
+        image += _mirror(camera, light, distance, pavement)
     sky = _sky(camera, light, noise)
-    picture = picture * ground[..., None] + sky * (1.0 - ground[..., None])
-    add_skyline(picture, camera, light, seed)
-    hidden = add_trees(picture, camera, light, surface, pavement, seed)
+    image = image * ground[..., None] + sky * (1.0 - ground[..., None])
+    add_skyline(image, camera, light, seed)
+    hidden = add_trees(image, camera, light, surface, pavement, seed)
     bare = ground * (1.0 - hidden)
     return Background(
         np.asarray(land * bare[..., None], dtype=np.float32),
-        np.asarray(np.clip(picture, 0.0, 1.0), dtype=np.float32),
+        np.asarray(np.clip(image, 0.0, 1.0), dtype=np.float32),
     )
 
 
@@ -152,7 +114,7 @@ def _ground_points(
 
 def _land(
     noise: GroundNoise, ground_m: NDArray[np.float32], footprint: NDArray[np.float32]
-) -> Picture:
+) -> FloatImage:
     patches = noise.sample(ground_m, 38.0, footprint) + 0.6 * noise.sample(ground_m, 9.0, footprint)
     dry = np.clip(0.35 + 0.28 * patches, 0.0, 1.0)[..., None]
     colour = channels(GRASS) * (1.0 - dry) + channels(DRY_GRASS) * dry
@@ -168,7 +130,7 @@ def _asphalt(
     noise: GroundNoise,
     ground_m: NDArray[np.float32],
     footprint: NDArray[np.float32],
-) -> Picture:
+) -> FloatImage:
     colour = _tinted(ASPHALT, noise, ground_m, footprint, 0.12, 0.05)
     patches = 0.035 * noise.sample(ground_m, 14.0, footprint)
     patches += 0.03 * noise.sample(ground_m, 3.0, footprint)
@@ -188,12 +150,12 @@ def _tinted(
     footprint: NDArray[np.float32],
     wavelength_m: float,
     amount: float,
-) -> Picture:
+) -> FloatImage:
     grain = 1.0 + amount * noise.sample(ground_m, wavelength_m, footprint)
     return np.asarray(channels(colour) * grain[..., None], dtype=np.float32)
 
 
-def _blend(below: Picture, above: Picture, share: NDArray[np.float32]) -> None:
+def _blend(below: FloatImage, above: FloatImage, share: NDArray[np.float32]) -> None:
     below += (above - below) * share[..., None]
 
 
@@ -209,7 +171,7 @@ def _elevation(camera: PinholeCamera) -> NDArray[np.float32]:
     return np.asarray(ray[..., 2] / np.linalg.norm(ray, axis=2), dtype=np.float32)
 
 
-def _sky(camera: PinholeCamera, light: Illumination, noise: GroundNoise) -> Picture:
+def _sky(camera: PinholeCamera, light: Illumination, noise: GroundNoise) -> FloatImage:
     width, height = camera.image_size
     up = np.clip(_elevation(camera), 0.0, 1.0) / 0.30
     share = np.clip(up, 0.0, 1.0)[..., None] ** 0.7
@@ -224,8 +186,99 @@ def _mirror(
     light: Illumination,
     distance: NDArray[np.float32],
     pavement: NDArray[np.float32],
-) -> Picture:
+) -> FloatImage:
     """The sky in the wet road: Schlick's share of reflected light, water's at normal incidence."""
     sine = np.clip(camera.centre_m[2] / distance, 0.0, 1.0)
     share = (0.02 + 0.98 * (1.0 - sine) ** 5) * 0.55 * pavement
     return np.asarray(channels(light.horizon) * share[..., None], dtype=np.float32)
+
+
+def coverage(camera: PinholeCamera, strips: Iterable[Strip]) -> NDArray[np.float32]:
+    """(H, W) share of each pixel that the strips cover.
+
+    A band thinner than a subpixel is drawn one subpixel wide and as much fainter.
+    """
+    width, height = camera.image_size
+    mask = np.zeros((height * SAMPLES, width * SAMPLES), np.uint8)
+    quads = [strip.quads() for strip in strips]
+    if not quads:
+        return np.zeros((height, width), np.float32)
+    ground = np.concatenate(quads)
+    pixel, depth = camera.project(np.concatenate([ground, np.zeros((*ground.shape[:2], 1))], 2))
+    low, high = pixel.min(axis=1), pixel.max(axis=1)
+    limit = 3.0 * max(width, height)
+    with np.errstate(invalid="ignore"):
+        shown = (depth.min(axis=1) > NEAR_M) & np.all(high > 0.0, axis=1)
+        shown &= np.all(low < [width, height], axis=1)
+        shown &= np.all(high < limit, axis=1) & np.all(low > -limit, axis=1)
+    # Coordinates of pixel centres: a subpixel's middle lies half a subpixel inside.
+    fine = pixel[shown] * SAMPLES - 0.5
+    thin = _thickness(fine)
+    levels = np.where(thin > 8.0, 255, np.rint(255 * thin / (thin + 1.0))).astype(np.int64)
+    corners = np.rint(fine * (1 << _SHIFT)).astype(np.int32)
+    # The brightest last: none darkens another.
+    for k in np.argsort(levels, kind="stable").tolist():
+        cv2.fillConvexPoly(mask, corners[k], int(levels[k]), cv2.LINE_8, _SHIFT)
+    small = cv2.resize(mask, (width, height), interpolation=cv2.INTER_AREA)
+    return small.astype(np.float32) / np.float32(255.0)
+
+
+def _thickness(quads: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N,) the smaller extent of quadrilaterals (N, 4, 2): area over longest side."""
+    following = np.roll(quads, -1, axis=1)
+    cross = quads[..., 0] * following[..., 1] - quads[..., 1] * following[..., 0]
+    longest = np.hypot(*np.moveaxis(quads - following, 2, 0)).max(axis=1)
+    return np.asarray(0.5 * np.abs(cross.sum(axis=1)) / np.maximum(longest, 1e-9))
+
+
+Values = NDArray[np.float32]
+
+
+class GroundNoise:
+    """Smooth noise over the ground, at any scale.
+
+    Args:
+        seed: Another seed gives another ground.
+    """
+
+    def __init__(self, seed: int) -> None:
+        random = np.random.default_rng([seed, 21])
+        self._tile = random.standard_normal((TILE, TILE)).astype(np.float32)
+
+    def sample(self, ground_m: Values, wavelength_m: float, footprint_m: Values) -> Values:
+        """Noise at points (H, W, 2), 1-sigma about 0.6.
+
+        It fades where a pixel's footprint (H, W), in metres, averages it out.
+        """
+        # Each scale has its own direction, or the lattice would show.
+        turn = 2.4 * np.log(wavelength_m)
+        cos, sin = np.float32(np.cos(turn)), np.float32(np.sin(turn))
+        x: Values = ground_m[..., 0]
+        y: Values = ground_m[..., 1]
+        pitch = np.float32(0.5 * wavelength_m)
+        turned = (cos * x - sin * y) / pitch, (sin * x + cos * y) / pitch
+        value = self._at(*(np.asarray(axis, dtype=np.float32) for axis in turned))
+        share = pitch / np.maximum(footprint_m, np.float32(1e-3))
+        return value * np.minimum(share, np.float32(1.0))
+
+    def clouds(self, width: int, height: int, across: float) -> Values:
+        """(height, width) noise drawn out sideways, about `across` waves wide."""
+        total = np.zeros((height, width), np.float32)
+        for octave in range(5):
+            x = np.linspace(0.0, across * 2.0**octave, width, dtype=np.float32)
+            y = np.linspace(0.0, across * 2.0**octave, height, dtype=np.float32)
+            grid_x, grid_y = np.meshgrid(x + np.float32(31.4 * octave), y)
+            total += np.float32(0.5**octave) * self._at(grid_x, grid_y)
+        return total
+
+    def _at(self, x: Values, y: Values) -> Values:
+        """Interpolated between lattice points with a smooth step (Perlin 1985)."""
+        column, row = np.floor(x), np.floor(y)
+        u, v = x - column, y - row
+        u, v = u * u * (3 - 2 * u), v * v * (3 - 2 * v)
+        i, j = column.astype(np.int32) & (TILE - 1), row.astype(np.int32) & (TILE - 1)
+        i2, j2 = (i + 1) & (TILE - 1), (j + 1) & (TILE - 1)
+        tile = self._tile
+        above = tile[j, i] + (tile[j, i2] - tile[j, i]) * u
+        below = tile[j2, i] + (tile[j2, i2] - tile[j2, i]) * u
+        return np.asarray(above + (below - above) * v, dtype=np.float32)

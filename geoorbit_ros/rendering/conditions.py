@@ -1,4 +1,4 @@
-"""Light and weather that a picture is taken in."""
+"""Light and weather that a image is taken in."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from geoorbit_ros.core.errors import ParameterError
 Light = Literal["day", "dusk", "night"]
 LIGHTS: tuple[Light, ...] = get_args(Light)
 MAX_SHAKE_PX = 20.0
+"""Largest sway. Chosen: a camera that sways more is of no use."""
 
 Colour = tuple[float, float, float]
 """Blue, green, red; 1 is a white sheet in full sun, as displayed."""
@@ -57,7 +58,7 @@ class Illumination:
         zenith: Colour of the sky above.
         horizon: Colour of the sky at the horizon, and of haze.
         haze_m: Distance at which haze takes 63 % of a colour.
-        headlights: 0 off, 1 the brightest lights in the picture.
+        headlights: 0 off, 1 the brightest lights in the image.
         noise: 1-sigma of the sensor's noise in grey levels.
     """
 
@@ -72,7 +73,6 @@ class Illumination:
 
 
 _DRY: dict[Light, tuple[Colour, Colour, float, Colour, Colour, float, float, float]] = {
-    # ambient, sun, sun's elevation in degrees, zenith, horizon, haze, headlights, noise
     "day": (
         (0.50, 0.45, 0.42),
         (0.66, 0.76, 0.80),
@@ -104,11 +104,14 @@ _DRY: dict[Light, tuple[Colour, Colour, float, Colour, Colour, float, float, flo
         3.6,
     ),
 }
+"""Ambient, sun, sun's elevation in degrees, zenith, horizon, haze, headlights, noise in dry
+weather: see `Illumination`. Chosen by appearance."""
 _RAIN_SKY: dict[Light, tuple[Colour, Colour]] = {
     "day": ((0.66, 0.64, 0.62), (0.74, 0.73, 0.71)),
     "dusk": ((0.34, 0.30, 0.28), (0.42, 0.40, 0.40)),
     "night": ((0.11, 0.10, 0.095), (0.17, 0.165, 0.165)),
 }
+"""Zenith and horizon in rain. Chosen by appearance."""
 
 
 def illumination(conditions: Conditions, azimuth_rad: float) -> Illumination:

@@ -13,13 +13,15 @@ from geoorbit_ros.rendering.painter import Body
 from geoorbit_ros.scenes.camera import PinholeCamera
 
 WARM = np.array([0.72, 0.90, 1.0])
-"""Blue, green, red of a head light."""
+"""Blue, green, red of a headlight. Chosen by appearance."""
 RED = np.array([0.16, 0.14, 1.0])
+"""Blue, green, red of a tail light. Chosen by appearance."""
 _LEVELS = 12
-"""Steps of a sprite's brightness that are kept ready."""
+"""Steps of a sprite's brightness that are kept ready. Chosen: more take memory, fewer flicker."""
 _MAX_RADIUS_PX = 80
+"""Largest halo. Chosen: larger takes more time."""
 _MIRRORED = 0.55
-"""Share of a lamp's light that a wet road mirrors."""
+"""Share of a lamp's light that a wet road mirrors. Chosen by appearance."""
 _FACING = 0.05
 """Cosine below which a lamp is seen from the side, and does not dazzle."""
 
@@ -28,7 +30,7 @@ Kind = Literal["head", "tail"]
 
 @dataclass(frozen=True, slots=True)
 class Glare:
-    """One lamp in the picture.
+    """One lamp in the image.
 
     Attributes:
         kind: Of the lamp.
@@ -99,9 +101,9 @@ class Lamps:
                 found[owner[k]].append(streak)
         return found
 
-    def draw(self, picture: NDArray[np.uint8], glares: list[Glare]) -> None:
-        """Add lamps to a picture (H, W, 3)."""
-        height, width = picture.shape[:2]
+    def draw(self, image: NDArray[np.uint8], glares: list[Glare]) -> None:
+        """Add lamps to a image (H, W, 3)."""
+        height, width = image.shape[:2]
         for glare in glares:
             sprite = self._sprite(glare)
             rows, columns = sprite.shape[:2]
@@ -109,7 +111,7 @@ class Lamps:
             first, last = max(top, 0), min(top + rows, height)
             start, end = max(left, 0), min(left + columns, width)
             if first < last and start < end:
-                part = picture[first:last, start:end]
+                part = image[first:last, start:end]
                 cut = sprite[first - top : last - top, start - left : end - left]
                 cv2.add(part, cut, dst=part)
 
@@ -140,9 +142,11 @@ COARSE = 4
 POOL_M = (1.0, 46.0)
 """A low beam reaches from here to there ahead of the bumper."""
 HALF_WIDTH_M = 8.0
+"""Width of a low beam on the road, to either side. Chosen by appearance: two lanes."""
 _SHARES = np.array([1.0, 0.6, 0.3])
-"""What would reach behind the camera is left out: the longest of these that does not."""
+"""Shares of a beam that are tried: the longest that does not reach behind the camera is drawn."""
 _NEAR_M = 2.0
+"""What reaches nearer to the camera counts as behind it."""
 
 
 class LightPools:
@@ -162,8 +166,8 @@ class LightPools:
         self._albedo = np.asarray(np.rint(tinted), dtype=np.uint8)
         self._pool = _pool_texture()
 
-    def light_road(self, picture: NDArray[np.uint8], bodies: list[Body]) -> None:
-        """Add the pools of light ahead of the vehicles to a picture (H, W, 3)."""
+    def light_road(self, image: NDArray[np.uint8], bodies: list[Body]) -> None:
+        """Add the pools of light ahead of the vehicles to a image (H, W, 3)."""
         if not bodies:
             return
         width, height = self._size
@@ -179,7 +183,7 @@ class LightPools:
         top, bottom = max(int(rows[0]) - 2, 0), min(int(rows[-1]) + 3, height)
         size = width * COARSE, (bottom - top) * COARSE
         bright = cv2.resize(pools[top:bottom], size, interpolation=cv2.INTER_LINEAR)
-        part = picture[top * COARSE : bottom * COARSE]
+        part = image[top * COARSE : bottom * COARSE]
         bright = bright[: part.shape[0], : part.shape[1]]
         albedo = self._albedo[top * COARSE : bottom * COARSE]
         cv2.add(part, cv2.multiply(albedo, cv2.merge([bright] * 3), scale=1.0 / 255.0), dst=part)

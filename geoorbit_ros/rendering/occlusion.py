@@ -1,4 +1,4 @@
-"""Who hides whom: the order of drawing, and how much of each vehicle is seen."""
+"""Which vehicle hides which: the order of drawing, and how much of each is seen."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _TOUCH_M = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class Silhouettes:
+class Outlines:
     """Outlines of the vehicles in an image, drawn or not.
 
     Attributes:
@@ -84,7 +84,7 @@ def _can_hide(view: View, camera_m: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def visible_shares(
-    outlines: Silhouettes, order: list[int], image_size: tuple[int, int]
+    outlines: Outlines, order: list[int], image_size: tuple[int, int]
 ) -> NDArray[np.float64]:
     """(N,) share of each outline that lies in the image and is not hidden by others."""
     width, height = image_size

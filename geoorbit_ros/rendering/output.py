@@ -33,7 +33,7 @@ class RenderedFiles:
     """Paths of what `write_rendered_scene` wrote.
 
     Attributes:
-        video: The pictures.
+        video: The images.
         tracks: True boxes as `tracks.csv`, the visible share as `conf`.
         mot: The same as MOTChallenge text, frames numbered from 1.
         calibration: Surveyed control points, with the errors of surveying and clicking.

@@ -1,4 +1,4 @@
-"""Draws vehicles: shaded faces over the picture, with smooth edges."""
+"""Draws vehicles: shaded faces over the image, with smooth edges."""
 
 from __future__ import annotations
 
@@ -10,28 +10,81 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.tables import LARGE_CLASSES
-from geoorbit_ros.rendering.conditions import Illumination
-from geoorbit_ros.rendering.occlusion import Silhouettes
-from geoorbit_ros.rendering.paints import material_colours
-from geoorbit_ros.rendering.solid import Solid
+from geoorbit_ros.rendering.conditions import Colour, Illumination
+from geoorbit_ros.rendering.occlusion import Outlines
+from geoorbit_ros.rendering.solid import Material, Solid
 from geoorbit_ros.rendering.vehicle_solids import vehicle_solid
 from geoorbit_ros.scenes.camera import PinholeCamera
 from geoorbit_ros.scenes.detector_model import View
 
 NEAR_M = 1.0
-"""Vehicles with a corner nearer than this are not drawn, nor have they a box."""
+"""Vehicles with a corner nearer than this are not drawn, nor have they a box: their projection is
+unbounded."""
 _SHIFT = 4
+"""Fractional bits of OpenCV's polygon corners."""
 _REMEMBERED = 4000
+"""Shades that are kept. Chosen: more take memory, fewer are computed again."""
 _HEADING_STEP_RAD = 0.02
+"""Headings within this share a shade. Chosen: light changes by 2 %; smaller takes more time."""
 _SMALLEST_PX = 0.8
-"""Faces of a smaller radius are left out."""
+"""Faces of a smaller radius are left out: they are not seen."""
 _BOUNCE = 0.45
-"""Light from the ground on a face that looks down, as a share of the sky's on one that looks up."""
+"""Light from the ground on a face that looks down, as a share of the sky's on one that looks up.
+Chosen by appearance: the ground reflects about half."""
+CAR_PAINTS: tuple[tuple[float, Colour], ...] = (
+    (0.30, (0.84, 0.85, 0.85)),
+    (0.19, (0.09, 0.085, 0.08)),
+    (0.16, (0.36, 0.35, 0.34)),
+    (0.10, (0.62, 0.61, 0.60)),
+    (0.10, (0.48, 0.25, 0.12)),
+    (0.06, (0.10, 0.09, 0.52)),
+    (0.03, (0.20, 0.32, 0.16)),
+    (0.03, (0.40, 0.52, 0.60)),
+    (0.03, (0.12, 0.34, 0.68)),
+)
+"""Shares and colours of cars. Shares: BASF Color Report 2022, rounded; colours chosen by
+appearance."""
+LARGE_PAINTS: tuple[tuple[float, Colour], ...] = (
+    (0.45, (0.84, 0.84, 0.83)),
+    (0.15, (0.50, 0.26, 0.10)),
+    (0.15, (0.12, 0.12, 0.58)),
+    (0.10, (0.14, 0.62, 0.76)),
+    (0.15, (0.38, 0.38, 0.38)),
+)
+"""Shares and colours of trucks' cabs and of buses. Chosen by appearance."""
+CARGO_PAINTS: tuple[tuple[float, Colour], ...] = (
+    (0.6, (0.82, 0.82, 0.81)),
+    (0.12, (0.46, 0.32, 0.16)),
+    (0.12, (0.30, 0.42, 0.26)),
+    (0.16, (0.55, 0.56, 0.56)),
+)
+"""Shares and colours of trucks' bodies. Chosen by appearance."""
+_FIXED: dict[Material, Colour] = {
+    Material.GLASS: (0.06, 0.055, 0.05),
+    Material.DARK: (0.075, 0.075, 0.075),
+    Material.TYRE: (0.085, 0.085, 0.085),
+    Material.HEADLIGHT: (0.72, 0.74, 0.74),
+    Material.TAIL_LIGHT: (0.10, 0.08, 0.50),
+    Material.PLATE: (0.75, 0.78, 0.78),
+    Material.CHROME: (0.48, 0.48, 0.48),
+}
+"""Colours of what is not painted. Chosen by appearance."""
+_GLOSS: dict[Material, float] = {
+    Material.PAINT: 0.08,
+    Material.GLASS: 0.15,
+    Material.HEADLIGHT: 0.10,
+    Material.CHROME: 0.05,
+}
+"""Share of the sky that a material mirrors. Chosen by appearance; glass more than paint."""
+_HEADLIGHT_GLOW: Colour = (0.85, 0.95, 1.0)
+"""Light of a lit headlight's glass. Chosen by appearance: warm white."""
+_TAIL_GLOW: Colour = (0.12, 0.10, 0.75)
+"""Light of a lit tail light's glass. Chosen by appearance: red."""
 
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """A vehicle placed in the picture.
+    """A vehicle placed in the image.
 
     Attributes:
         solid: Its shape.
@@ -113,14 +166,14 @@ class Painter:
             for k, solid in enumerate(solids)
         ]
 
-    def paint(self, picture: NDArray[np.uint8], body: Body) -> None:
-        """Draw a vehicle over a picture (H, W, 3)."""
-        height, width = picture.shape[:2]
+    def paint(self, image: NDArray[np.uint8], body: Body) -> None:
+        """Draw a vehicle over a image (H, W, 3)."""
+        height, width = image.shape[:2]
         left, top = max(int(body.box[0]) - 2, 0), max(int(body.box[1]) - 2, 0)
         right, bottom = min(int(body.box[2]) + 2, width), min(int(body.box[3]) + 2, height)
         if right <= left or bottom <= top:
             return
-        area = picture[top:bottom, left:right]
+        area = image[top:bottom, left:right]
         size = right - left, bottom - top
         samples = _samples(size[0] * size[1])
         fine_size = size[0] * samples, size[1] * samples
@@ -168,7 +221,7 @@ class Painter:
         return np.asarray(255.0 * np.clip(colour, 0.0, 1.0))
 
 
-def silhouettes(bodies: list[Body | None], image_size: tuple[int, int]) -> Silhouettes:
+def outlines_of(bodies: list[Body | None], image_size: tuple[int, int]) -> Outlines:
     """Outlines of bodies; no hull for those outside of the image."""
     hulls: list[NDArray[np.float32] | None] = []
     boxes = np.full((len(bodies), 4), np.nan)
@@ -179,7 +232,7 @@ def silhouettes(bodies: list[Body | None], image_size: tuple[int, int]) -> Silho
         boxes[k] = body.box
         if in_image(body.box, image_size):
             hulls[k] = np.asarray(cv2.convexHull(body.outline.astype(np.float32))[:, 0], np.float32)
-    return Silhouettes(hulls, boxes)
+    return Outlines(hulls, boxes)
 
 
 def in_image(box: NDArray[np.float64], image_size: tuple[int, int], margin: float = 0.0) -> bool:
@@ -215,3 +268,36 @@ def _seen(body: Body, smallest_m: float) -> NDArray[np.intp]:
 def _samples(area: int) -> int:
     """Subpixels per pixel and axis: many where vehicles are small."""
     return 4 if area < 4000 else 3 if area < 16000 else 2
+
+
+def material_colours(
+    vehicle: int, large: bool, seed: int, headlights: float
+) -> NDArray[np.float64]:
+    """(3, materials, 3): colour, share of mirrored sky, and own light of each material.
+
+    Args:
+        vehicle: Its number: the same one has the same colours.
+        large: A truck or a bus.
+        seed: Another seed paints all vehicles anew.
+        headlights: Brightness of the lamps, 0 to 1.
+    """
+    random = np.random.default_rng([seed, 23, abs(vehicle)])
+    table = np.zeros((3, len(Material), 3))
+    for material, colour in _FIXED.items():
+        table[0, material] = colour
+    table[0, Material.PAINT] = _pick(LARGE_PAINTS if large else CAR_PAINTS, random)
+    table[0, Material.CARGO] = _pick(CARGO_PAINTS, random)
+    for material, share in _GLOSS.items():
+        table[1, material] = share
+    if headlights > 0.0:
+        table[2, Material.HEADLIGHT] = np.array(_HEADLIGHT_GLOW) * min(1.0, 0.4 + headlights)
+        table[2, Material.TAIL_LIGHT] = np.array(_TAIL_GLOW) * min(1.0, 0.3 + headlights)
+    return table
+
+
+def _pick(
+    paints: tuple[tuple[float, Colour], ...], random: np.random.Generator
+) -> NDArray[np.float64]:
+    shares = np.array([share for share, _ in paints])
+    chosen = paints[int(random.choice(len(paints), p=shares / shares.sum()))][1]
+    return np.asarray(np.clip(np.array(chosen) * random.uniform(0.85, 1.15), 0.03, 0.9))

@@ -1,4 +1,4 @@
-"""A scene as a camera's pictures: the traffic of `simulate`, seen instead of detected."""
+"""A scene as a camera's images: the traffic of `simulate`, seen instead of detected."""
 
 from __future__ import annotations
 
@@ -32,17 +32,25 @@ from geoorbit_ros.scenes.survey import survey_control_points
 from geoorbit_ros.scenes.traffic import simulate_traffic
 from geoorbit_ros.scenes.truth import TruthCounter, visible_lanes
 
-MIN_SIDE_PX, MAX_SIDE_PX = 160, 8192
-MIN_FPS, MAX_FPS = 1.0, 120.0
+MIN_SIDE_PX = 160
+"""Least width and height, as in a scene file. Chosen: in smaller images nothing is found."""
+MAX_SIDE_PX = 8192
+"""Largest width and height, as in a scene file. Chosen: larger images take gigabytes."""
+MIN_FPS = 1.0
+"""Least frame rate. Chosen: below, no vehicle is followed from frame to frame."""
+MAX_FPS = 120.0
+"""Largest frame rate. Chosen: no camera on a pole is faster."""
 MIN_BOX_PX = 1.0
 """A vehicle of which less than this is in the image, in either direction, has no box."""
-SEEN_SHARE, SEEN_HEIGHT_PX = 0.3, 12.0
-"""From this share and height on a vehicle counts for its lane, as with `simulate`'s detector."""
+SEEN_SHARE = 0.3
+"""From this visible share on a vehicle counts for its lane: `MIN_VISIBLE_SHARE` of `simulate`."""
+SEEN_HEIGHT_PX = 12.0
+"""From this height on a vehicle counts for its lane: a scene's default `detector.min_height_px`."""
 
 
 @dataclass(frozen=True, slots=True)
 class RenderedFrame:
-    """One picture with its truth.
+    """One image with its truth.
 
     Attributes:
         stamp_ns: Capture time.
@@ -135,12 +143,12 @@ def render_scene(
     image_size: tuple[int, int] | None = None,
     progress: Progress | None = None,
 ) -> RenderedScene:
-    """The pictures of a scene's camera; vehicles are where `simulate` has them at the same times.
+    """The images of a scene's camera; vehicles are where `simulate` has them at the same times.
 
     Args:
         scene: The scene.
         duration_s: Seconds that the camera watches.
-        seed: Of traffic and picture.
+        seed: Of traffic and image.
         conditions: Light and weather; default: a dry day.
         fps: Frames per second; default: the scene's.
         image_size: Width and height; default: the scene's. The field of view stays.

@@ -1,4 +1,4 @@
-"""The picture of a roadside camera, frame by frame."""
+"""The image of a roadside camera, frame by frame."""
 
 from __future__ import annotations
 
@@ -11,10 +11,9 @@ from geoorbit_ros.rendering.background import make_background
 from geoorbit_ros.rendering.conditions import Conditions, illumination
 from geoorbit_ros.rendering.lamps import Lamps, LightPools
 from geoorbit_ros.rendering.occlusion import draw_order, visible_shares
-from geoorbit_ros.rendering.painter import Body, Painter, in_image, silhouettes
-from geoorbit_ros.rendering.rain import Rain
+from geoorbit_ros.rendering.painter import Body, Painter, in_image, outlines_of
 from geoorbit_ros.rendering.road_surface import Roads, surface_of
-from geoorbit_ros.rendering.sensor import Sensor
+from geoorbit_ros.rendering.sensor import Rain, Sensor
 from geoorbit_ros.rendering.shadows import Shadows
 from geoorbit_ros.scenes.camera import PinholeCamera
 from geoorbit_ros.scenes.detector_model import View
@@ -25,12 +24,12 @@ _MARGIN = 0.5
 
 @dataclass(frozen=True, slots=True)
 class TrueBoxes:
-    """Where the vehicles are in the picture.
+    """Where the vehicles are in the image.
 
     Attributes:
         boxes: (N, 4) left, top, right, bottom of each vehicle, whole and unclipped, in pixels;
             NaN when it is not in front of the camera.
-        visible: (N,) share of each that is in the picture and not hidden by another vehicle.
+        visible: (N,) share of each that is in the image and not hidden by another vehicle.
     """
 
     boxes: NDArray[np.float64]
@@ -38,7 +37,7 @@ class TrueBoxes:
 
 
 class SceneRenderer:
-    """Makes pictures of vehicles on roads. No SUMO, no clock: the same input gives the same bits.
+    """Makes images of vehicles on roads. No SUMO, no clock: the same input gives the same bits.
 
     The empty road is painted once, when the renderer is made (a few seconds).
 
@@ -74,20 +73,20 @@ class SceneRenderer:
         self._sensor = Sensor(camera.image_size, self.conditions, light.noise, seed)
 
     def render(self, vehicles: View, time_s: float) -> NDArray[np.uint8]:
-        """The picture (H, W, 3) blue, green, red at `time_s`."""
+        """The image (H, W, 3) blue, green, red at `time_s`."""
         bodies = self._painter.place(vehicles)
-        return self._picture(self._sorted(vehicles, bodies), time_s)
+        return self._image(self._sorted(vehicles, bodies), time_s)
 
     def render_with_boxes(
         self, vehicles: View, time_s: float
     ) -> tuple[NDArray[np.uint8], TrueBoxes]:
-        """The picture, and where the vehicles are in it."""
+        """The image, and where the vehicles are in it."""
         bodies = self._painter.place(vehicles)
         order = self._sorted(vehicles, bodies)
-        outlines = silhouettes(bodies, self.camera.image_size)
+        outlines = outlines_of(bodies, self.camera.image_size)
         visible = visible_shares(outlines, [k for k, _ in order], self.camera.image_size)
         boxes = outlines.boxes + np.tile(self._sensor.sway_px(time_s), 2)
-        return self._picture(order, time_s), TrueBoxes(boxes, visible)
+        return self._image(order, time_s), TrueBoxes(boxes, visible)
 
     def _sorted(self, vehicles: View, bodies: list[Body | None]) -> list[tuple[int, Body]]:
         """Bodies that show in the image, be it by their shadow, the farthest first."""
@@ -97,17 +96,17 @@ class SceneRenderer:
         ordered = (near[k] for k in draw_order(some, self.camera.centre_m))
         return [(k, body) for k in ordered if (body := bodies[k]) is not None]
 
-    def _picture(self, order: list[tuple[int, Body]], time_s: float) -> NDArray[np.uint8]:
+    def _image(self, order: list[tuple[int, Body]], time_s: float) -> NDArray[np.uint8]:
         bodies = [body for _, body in order]
-        picture = self._empty.copy()
-        self._shadows.darken(picture, bodies, self._sensor.sunshine(time_s))
+        image = self._empty.copy()
+        self._shadows.darken(image, bodies, self._sensor.sunshine(time_s))
         if self._pools:
-            self._pools.light_road(picture, bodies)
+            self._pools.light_road(image, bodies)
         glares = self._lamps.glares(bodies) if self._lamps else []
         for k, body in enumerate(bodies):
-            self._painter.paint(picture, body)
+            self._painter.paint(image, body)
             if self._lamps:  # now: a nearer vehicle hides the lamps too
-                self._lamps.draw(picture, glares[k])
+                self._lamps.draw(image, glares[k])
         if self._rain:
-            picture = self._rain.fall(picture, time_s)
-        return self._sensor.expose(picture, time_s)
+            image = self._rain.fall(image, time_s)
+        return self._sensor.expose(image, time_s)

@@ -1,4 +1,4 @@
-"""The surface of a scene's roads, or of lanes that somebody found."""
+"""The surface of a scene's roads, or of the lanes of a map."""
 
 from __future__ import annotations
 
@@ -16,26 +16,37 @@ from geoorbit_ros.rendering.surface import (
     outside_of,
     shifted,
 )
+from geoorbit_ros.scenes.road_plan import LaneRef
 from geoorbit_ros.scenes.roads import PlacedRoad, successors
 
 Roads = Mapping[str, PlacedRoad] | Sequence[Lane]
-"""What a picture can be made of: a scene's placed roads, or lanes alone."""
+"""What a image can be made of: a scene's placed roads, or lanes alone."""
 
-SHOULDER_M, INNER_SHOULDER_M, CITY_SHOULDER_M = 2.2, 0.9, 0.6
+SHOULDER_M = 2.2
+"""Paved shoulder right of a motorway. Chosen: usual is 2 to 3 m."""
+INNER_SHOULDER_M = 0.9
+"""Paved shoulder left of a motorway. Chosen: usual is 0.5 to 1 m."""
+CITY_SHOULDER_M = 0.6
+"""Pavement beside the lines of other roads. Chosen: usual is 0.5 m."""
 PAVED_MEDIAN_M = 2.5
-"""A narrower median is paved, not grass."""
+"""A narrower median is paved, not grass. Chosen by appearance."""
 TAPER_M = 45.0
-"""Length over which the edge line of a lane that begins or ends crosses it."""
+"""Length over which the edge line of a lane that begins or ends crosses it. Chosen: between those
+of a city street and of a motorway."""
 MOTORWAY_KMH = 75.0
-MOTORWAY_DASH, CITY_DASH = (6.0, 12.0), (3.0, 6.0)
+"""Roads with a higher speed limit look like motorways. Chosen: between 70 and 80 km/h."""
+MOTORWAY_DASH = (6.0, 12.0)
 """Dash and gap in metres (RMS-1 of Germany; others differ little)."""
+CITY_DASH = (3.0, 6.0)
+"""Dash and gap in metres (RMS-1 of Germany)."""
 MARGIN_M = 0.35
 """Lines of one road that lie further than this inside another road's lanes are not painted."""
 NEIGHBOUR_M = 0.9
 """Boundaries of two lanes closer than this are one line."""
 RUN_OUT_M = 150.0
-"""Roads go on in the picture behind their free ends."""
+"""Roads go on in the image behind their free ends."""
 STEP_M = 2.0
+"""Spacing of points on a prolonged border: as in `scenes.roads`."""
 
 
 def surface_of(roads: Roads) -> RoadSurface:
@@ -130,8 +141,8 @@ def _free_ends(place: PlacedRoad, placed: dict[str, PlacedRoad]) -> tuple[bool, 
     return start, end
 
 
-def _joins(ref: object, name: str) -> bool:
-    return ref is not None and getattr(ref, "road", None) == name
+def _joins(ref: LaneRef | None, name: str) -> bool:
+    return ref is not None and ref.road == name
 
 
 def _lane_surface(lanes: Sequence[Lane]) -> RoadSurface:

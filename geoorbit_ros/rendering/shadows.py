@@ -15,6 +15,7 @@ from geoorbit_ros.scenes.camera import PinholeCamera
 COARSE = 2
 """Pixels per shadow pixel: shadows have soft edges."""
 _SHIFT = 4
+"""Fractional bits of OpenCV's polygon corners."""
 _SOFT = 0.6
 """Blur in shadow pixels. The sun's penumbra is centimetres wide: more would put a dark halo, large
 beside a far vehicle, where a camera shows none."""
@@ -51,8 +52,8 @@ class Shadows:
         self._cast = light.sun_direction[:2] / max(light.sun_direction[2], 0.1)
         self._sunny = bool(missing.max() > 0.15)
 
-    def darken(self, picture: NDArray[np.uint8], bodies: list[Body], sunshine: float) -> None:
-        """Darken the ground in a picture (H, W, 3); `sunshine` 0 to 1: how much the sun is out."""
+    def darken(self, image: NDArray[np.uint8], bodies: list[Body], sunshine: float) -> None:
+        """Darken the ground in a image (H, W, 3); `sunshine` 0 to 1: how much the sun is out."""
         if not bodies:
             return
         width, height = self._size
@@ -78,7 +79,7 @@ class Shadows:
         below = cv2.GaussianBlur(255 - beneath[top:bottom], (3, 3), _SOFT)
         left = cv2.LUT(cv2.merge([soft] * 3), self._left.reshape(1, 256, 3))
         left = cv2.multiply(left, cv2.merge([below] * 3), scale=1.0 / 255.0)
-        part = picture[top * COARSE : bottom * COARSE]
+        part = image[top * COARSE : bottom * COARSE]
         left = cv2.resize(
             left, (width * COARSE, (bottom - top) * COARSE), interpolation=cv2.INTER_LINEAR
         )[: part.shape[0], : part.shape[1]]

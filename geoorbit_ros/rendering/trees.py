@@ -1,4 +1,4 @@
-"""Trees and bushes beside the road, where they hide no vehicle."""
+"""Trees and bushes beside the road, where they hide no vehicle, and the wood at the horizon."""
 
 from __future__ import annotations
 
@@ -8,33 +8,48 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.rendering.conditions import Illumination, channels
+from geoorbit_ros.rendering.conditions import Colour, Illumination, channels
 from geoorbit_ros.rendering.surface import RoadSurface
 from geoorbit_ros.scenes.camera import PinholeCamera
 
 TRIES = 420
+"""Places that are tried. Chosen: most hide the road and are left out; more take seconds at the
+start."""
 CLEAR_M = 7.0
-"""No tree stands nearer to the pavement."""
+"""No tree stands nearer to the pavement. Chosen: a usual clear zone beside a road."""
 TRAFFIC_M = 4.6
-"""Vehicles are no higher."""
+"""Vehicles are no higher: a trailer of 4 m, 15 % higher at most (`scenes.traffic`)."""
 RANGE_M = (25.0, 420.0)
+"""Distances of trees from the camera. Chosen: nearer ones fill the image, farther ones are the
+wood."""
 _MAX_SPRITE_PX = 260
+"""Larger trees are left out: their leaves would look blurred."""
 _KINDS = 12
-"""Different bushes, and as many different trees."""
-_TREE_PX, _BUSH_PX = 170, 60
+"""Different bushes, and as many different trees. Chosen: more take time at the start."""
+_TREE_PX = 170
+"""Height at which trees are painted before they are scaled. Chosen: as `_MAX_SPRITE_PX`."""
+_BUSH_PX = 60
+"""Height at which bushes are painted. Chosen: as `_TREE_PX`."""
 _BUSH_M = 4.0
 """What is smaller is a bush."""
+WOOD_M = 900.0
+"""Distance of the wood at the horizon. Chosen: farther is lost in haze, nearer moves above the
+road."""
+WOOD_HEIGHT_M = (9.0, 26.0)
+"""Least and most height of its trees. Chosen by appearance."""
+LEAVES: Colour = (0.20, 0.30, 0.25)
+"""Colour of its leaves. Chosen by appearance."""
 
 
 def add_trees(
-    picture: NDArray[np.float32],
+    image: NDArray[np.float32],
     camera: PinholeCamera,
     light: Illumination,
     surface: RoadSurface,
     pavement: NDArray[np.float32],
     seed: int,
 ) -> NDArray[np.float32]:
-    """Draw trees into a picture (H, W, 3), the farthest first.
+    """Draw trees into a image (H, W, 3), the farthest first.
 
     A tree is left out when it would cover the road or the space that vehicles take up above it:
     the true boxes then need not know of trees.
@@ -69,10 +84,10 @@ def add_trees(
             slice(low[1] - bottom + rows, high[1] - bottom + rows),
             slice(low[0] - left, high[0] - left),
         )
-        _ground_shadow(picture, pavement, foot, columns)
+        _ground_shadow(image, pavement, foot, columns)
         clear = np.float32(np.exp(-float(depth) / light.haze_m))
         seen = clear * colour[cut] + (1 - clear) * channels(light.horizon)
-        picture[at] += (seen - picture[at]) * share[cut][..., None]
+        image[at] += (seen - image[at]) * share[cut][..., None]
         covered[at] += (1.0 - covered[at]) * share[cut]
     return covered
 
@@ -174,7 +189,7 @@ def _tree(
 
 
 def _ground_shadow(
-    picture: NDArray[np.float32],
+    image: NDArray[np.float32],
     pavement: NDArray[np.float32],
     foot: NDArray[np.float64],
     columns: int,
@@ -190,7 +205,7 @@ def _ground_shadow(
     r = np.hypot((x + 0.5 - foot[0]) / half[0], (y + 0.5 - foot[1]) / half[1])
     at = slice(low[1], high[1]), slice(low[0], high[0])
     dark = 0.5 * np.clip(1.0 - r, 0.0, 0.6) * (1.0 - pavement[at])
-    picture[at] *= (1.0 - dark.astype(np.float32))[..., None]
+    image[at] *= (1.0 - dark.astype(np.float32))[..., None]
 
 
 def _grain(
@@ -200,3 +215,49 @@ def _grain(
     noise = random.standard_normal(shape).astype(np.float32)
     soft = cv2.GaussianBlur(noise, (0, 0), size_px)
     return np.asarray(soft / max(float(soft.std()), 1e-6), dtype=np.float32)
+
+
+def add_skyline(
+    image: NDArray[np.float32], camera: PinholeCamera, light: Illumination, seed: int
+) -> None:
+    """Draw a wood across the horizon into a image (H, W, 3)."""
+    width, height = camera.image_size
+    column = np.arange(width, dtype=np.float64) + 0.5
+    base, top = (_row_at(camera, column, z) for z in (0.0, 1.0))
+    per_metre = base - top
+    random = np.random.default_rng([seed, 22])
+    heights = _ridge(random, width)
+    low, high = WOOD_HEIGHT_M
+    tree = base - per_metre * (low + (high - low) * heights)
+    first, last = np.clip([np.floor(tree.min()), np.ceil(base.max()) + 1], 0, height).astype(int)
+    row = np.arange(first, last)[:, None] + 0.5
+    share = np.clip(row - tree[None, :], 0.0, 1.0) * np.clip(base[None, :] - row, 0.0, 1.0)
+    clear = np.exp(-WOOD_M / light.haze_m)
+    leaves = channels(LEAVES) * (channels(light.ambient) + 0.35 * channels(light.sun))
+    grain = 1.0 + 0.16 * random.standard_normal((last - first, width)).astype(np.float32)
+    colour = (leaves * grain[..., None]) * clear + channels(light.horizon) * (1.0 - clear)
+    part = image[first:last]
+    part += (colour.astype(np.float32) - part) * share[..., None].astype(np.float32)
+
+
+def _row_at(
+    camera: PinholeCamera, column: NDArray[np.float64], height_m: float
+) -> NDArray[np.float64]:
+    """(W,) row at which a point `height_m` high in the wood is seen, for each column."""
+    inverse = np.linalg.inv(camera.matrix[:, :3])
+    middle = np.full_like(column, 0.5 * camera.image_size[1])
+    ray = np.stack([column, middle, np.ones_like(column)], axis=1) @ inverse.T
+    flat = ray[:, :2] / np.hypot(*ray[:, :2].T)[:, None]
+    place = np.column_stack([camera.centre_m[:2] + WOOD_M * flat, np.full(len(column), height_m)])
+    pixel, _ = camera.project(place)
+    return np.asarray(pixel[:, 1])
+
+
+def _ridge(random: np.random.Generator, width: int) -> NDArray[np.float64]:
+    """(width,) heights in [0, 1] of crowns beside each other."""
+    x = np.linspace(0.0, 1.0, width)
+    ridge = np.zeros(width)
+    for octave, share in ((5, 0.5), (17, 0.3), (60, 0.22), (190, 0.14)):
+        knots = random.uniform(size=octave + 2)
+        ridge += share * np.interp(x, np.linspace(0.0, 1.0, octave + 2), knots)
+    return np.clip(ridge / 1.1, 0.0, 1.0)

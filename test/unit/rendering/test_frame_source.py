@@ -21,7 +21,7 @@ def expected() -> list[np.ndarray]:
     return [frame.image for frame in rendered]
 
 
-def test_the_source_gives_the_pictures_of_the_scene_at_their_times_and_again(
+def test_the_source_gives_the_images_of_the_scene_at_their_times_and_again(
     expected: list[np.ndarray],
 ) -> None:
     start_ns = 7 * 10**18

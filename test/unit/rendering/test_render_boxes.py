@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from made_pictures import (
+from made_images import (
     BUS,
     CAR,
     CLASSES,
@@ -26,7 +26,7 @@ from made_scenes import Array
 from geoorbit_ros.core.tables import FLAG_TRUNCATED
 from geoorbit_ros.rendering.conditions import LIGHTS, Conditions, illumination
 from geoorbit_ros.rendering.occlusion import draw_order
-from geoorbit_ros.rendering.painter import Painter, silhouettes
+from geoorbit_ros.rendering.painter import Painter, outlines_of
 from geoorbit_ros.rendering.rendered_scene import box_rows
 from geoorbit_ros.rendering.renderer import SceneRenderer
 from geoorbit_ros.rendering.vehicle_solids import vehicle_solid
@@ -61,7 +61,7 @@ def test_a_box_holds_the_whole_vehicle_and_no_more(
     canvas = np.full((360, 640, 3), (255, 0, 255), np.uint8)
     painter.paint(canvas, body)
     drawn = extent(np.any(canvas != (255, 0, 255), axis=2))
-    box = silhouettes([body], (640, 360)).boxes[0]
+    box = outlines_of([body], (640, 360)).boxes[0]
     # Whole pixels: half a subpixel more where an edge lies.
     assert np.all(drawn[:2] >= np.floor(box[:2] - 0.3))
     assert np.all(drawn[2:] <= np.ceil(box[2:] + 0.3))
@@ -73,8 +73,8 @@ def test_paint_never_leaves_the_box(size: tuple[float, float, float]) -> None:
     # The same vehicle under other numbers has other colours, but the same shadow.
     camera = renderer()
     place = on_road(222.0, 4.0, size, 20.0)
-    pictures = [camera.render(vehicles(place, first=k), 0.0) for k in range(6)]
-    painted = np.any([difference(a, pictures[0]) > 4 for a in pictures[1:]], axis=0)
+    images = [camera.render(vehicles(place, first=k), 0.0) for k in range(6)]
+    painted = np.any([difference(a, images[0]) > 4 for a in images[1:]], axis=0)
     box = camera.render_with_boxes(vehicles(place), 0.0)[1].boxes[0]
     left, top, right, bottom = extent(painted)
     assert left >= box[0] - 2.0
@@ -189,7 +189,7 @@ def test_along_every_line_of_sight_the_first_vehicle_is_drawn_last() -> None:
     assert checked > 50
 
 
-def test_visible_shares_are_those_of_the_picture() -> None:
+def test_visible_shares_are_those_of_the_image() -> None:
     camera = renderer()
     alone = vehicles(on_road(245.0, 4.0))
     assert camera.render_with_boxes(alone, 0.0)[1].visible == pytest.approx([1.0])
@@ -220,11 +220,11 @@ def test_a_vehicle_cut_by_the_border_is_flagged_and_counted_by_what_is_left() ->
 def test_what_is_behind_the_camera_has_no_box() -> None:
     _, camera = road_and_camera()
     view = vehicles(on_road(60.0, 4.0), on_road(226.0, 4.0))
-    picture, truth = renderer().render_with_boxes(view, 0.0)
+    image, truth = renderer().render_with_boxes(view, 0.0)
     assert np.isnan(truth.boxes[0]).all()
     assert truth.visible[0] == 0.0
     assert box_rows(view, truth, camera.image_size)["track_id"].tolist() == [2]
-    assert picture.shape == (360, 640, 3)
+    assert image.shape == (360, 640, 3)
 
 
 def test_the_boxes_sway_with_the_camera() -> None:
@@ -233,13 +233,13 @@ def test_the_boxes_sway_with_the_camera() -> None:
     view = vehicles(on_road(226.0, 4.0, TRUCK))
     moved = 0.0
     for time_s in (0.0, 0.4, 0.8, 1.2):
-        picture, truth = swaying.render_with_boxes(view, time_s)
+        image, truth = swaying.render_with_boxes(view, time_s)
         steady, still = renderer().render_with_boxes(view, time_s)
         shift = (truth.boxes - still.boxes)[0]
         assert np.allclose(shift[:2], shift[2:])
         columns, rows = np.rint(shift[:2]).astype(int).tolist()
         middle = slice(120, 240), slice(200, 440)
-        back = np.roll(picture, (-rows, -columns), (0, 1))[middle]
+        back = np.roll(image, (-rows, -columns), (0, 1))[middle]
         assert difference(back, steady[middle]).mean() < 8.0
         moved = max(moved, float(np.abs(shift).max()))
     assert moved > 3.0

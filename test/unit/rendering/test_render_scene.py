@@ -42,9 +42,9 @@ def frames() -> list[RenderedFrame]:
 def test_vehicles_are_where_simulate_has_them() -> None:
     scene = changed(load_scene("s_curve"), detector=FAULTLESS)
     run = simulate(scene, 2.0, 4)
-    pictures = render_scene(scene, 2.0, 4, image_size=(640, 360))
+    images = render_scene(scene, 2.0, 4, image_size=(640, 360))
     matched = 0
-    for k, frame in enumerate(pictures):
+    for k, frame in enumerate(images):
         assert frame.stamp_ns == run.frames.stamp_ns[k]
         exact = {int(row["track_id"]): row for row in run.boxes.frame(k)}
         for row in frame.boxes:
@@ -52,12 +52,12 @@ def test_vehicles_are_where_simulate_has_them() -> None:
             if twin is None or twin["flags"] or row["flags"]:
                 continue
             assert row["class_id"] == twin["class_id"]
-            # Half the size of the scene's own picture; a solid lies in its upright box.
+            # Half the size of the scene's own image; a solid lies in its upright box.
             assert abs(2 * row["x"] - twin["x"]) <= 0.06 * twin["width"] + 0.1
             assert 0.8 * twin["height"] <= 2 * row["height"] <= twin["height"] + 0.01
             matched += 1
     assert matched > 100
-    assert k + 1 == len(run.frames) == pictures.frame_count
+    assert k + 1 == len(run.frames) == images.frame_count
 
 
 def test_the_truth_is_that_of_the_scene() -> None:
@@ -74,7 +74,7 @@ def test_the_truth_is_that_of_the_scene() -> None:
         assert a.length_m <= b.length_m + 1.0
         assert abs(a.vehicles - b.vehicles) <= 4
     assert sum(lane.vehicles for lane in scene.truth) > 10
-    # Control points belong to the pictures that are rendered.
+    # Control points belong to the images that are rendered.
     plane = fit_homography(scene.control_points)
     assert plane.residual.inlier.all()
     assert np.all(scene.control_points.pixel < np.array(SIZE) + 5.0)

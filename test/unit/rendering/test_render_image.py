@@ -1,4 +1,4 @@
-"""Laws of the pictures: same bits, marks on the lanes, light as it should be."""
+"""Laws of the images: same bits, marks on the lanes, light as it should be."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from made_pictures import (
+from made_images import (
     CAR,
     TRUCK,
     VAN,
@@ -24,8 +24,8 @@ from made_pictures import (
 from made_scenes import Array, true_lanes
 
 from geoorbit_ros.core.errors import ParameterError
+from geoorbit_ros.rendering.background import coverage
 from geoorbit_ros.rendering.conditions import Conditions, illumination
-from geoorbit_ros.rendering.raster import coverage
 from geoorbit_ros.rendering.renderer import SceneRenderer
 from geoorbit_ros.rendering.road_surface import surface_of
 from geoorbit_ros.rendering.sensor import Sensor
@@ -70,12 +70,12 @@ def test_the_same_input_gives_the_same_bits() -> None:
     assert difference(first, other_time).mean() < 6.0
 
 
-def test_a_picture_does_not_depend_on_the_frames_before() -> None:
+def test_an_image_does_not_depend_on_the_frames_before() -> None:
     view = vehicles(*TRAFFIC)
-    picture = renderer("night", True).render(view, 2.0)
+    image = renderer("night", True).render(view, 2.0)
     for k in range(5):
         renderer("night", True).render(vehicles(*TRAFFIC[k % 3 :], first=9), 0.1 * k)
-    assert np.array_equal(renderer("night", True).render(view, 2.0), picture)
+    assert np.array_equal(renderer("night", True).render(view, 2.0), image)
 
 
 @pytest.mark.parametrize("name", ["straight_3x3", "curve_250m", "night_sparse", "s_curve"])
@@ -135,8 +135,8 @@ def test_lanes_alone_are_painted_like_the_road_they_are_of() -> None:
     assert (mask & road).sum() > 0.6 * mask.sum()
     assert len(surface.dashed) == 4
     assert len(surface.solid) >= 4
-    picture = SceneRenderer(camera, lanes).render(nothing(), 0.0)
-    assert picture.shape == (360, 640, 3)
+    image = SceneRenderer(camera, lanes).render(nothing(), 0.0)
+    assert image.shape == (360, 640, 3)
 
 
 def test_dashes_are_as_long_as_they_should_be() -> None:
@@ -187,9 +187,9 @@ def test_lamps_shine_white_ahead_and_red_behind() -> None:
     camera = renderer("night")
     for turn_deg, rear in ((0.0, True), (180.0, False)):
         view = vehicles(on_road(235.0, 4.0, CAR, turn_deg))
-        picture, truth = camera.render_with_boxes(view, 0.0)
+        image, truth = camera.render_with_boxes(view, 0.0)
         left, top, right, bottom = truth.boxes[0].astype(int)
-        part = picture[top:bottom, left:right].reshape(-1, 3).astype(int)
+        part = image[top:bottom, left:right].reshape(-1, 3).astype(int)
         brightest = part[np.argsort(part.sum(axis=1))[-6:]].mean(axis=0)
         blue, _, red = brightest
         if rear:
@@ -237,14 +237,14 @@ def test_trees_stand_beside_the_road_only() -> None:
         surface = surface_of(placed)
         light = illumination(Conditions(), 1.0)
         pavement = coverage(camera, surface.paved)
-        picture = np.zeros((360, 640, 3), np.float32)
-        covered = add_trees(picture, camera, light, surface, pavement, seed=2)
+        image = np.zeros((360, 640, 3), np.float32)
+        covered = add_trees(image, camera, light, surface, pavement, seed=2)
         assert covered.max() > 0.9
         assert (covered > 0.5).mean() > 0.01
         assert not (covered[pavement > 0.0] > 0.0).any()
 
 
-def test_pictures_of_lanes_need_no_sumo() -> None:
+def test_images_of_lanes_need_no_sumo() -> None:
     program = (
         "import sys; sys.modules.update(libsumo=None, sumolib=None, traci=None)\n"
         "from geoorbit_ros.rendering.renderer import SceneRenderer\n"

@@ -1,4 +1,4 @@
-"""Cameras, vehicles and renderers for the tests of pictures."""
+"""Cameras, vehicles and renderers for the tests of images."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from geoorbit_ros.scenes.roads import PlacedRoad, place_roads
 from geoorbit_ros.scenes.scene import Scene, load_scene
 from geoorbit_ros.scenes.simulate import scene_camera
 
-Picture = NDArray[np.uint8]
+Image = NDArray[np.uint8]
 SIZE = (640, 360)
 CAR, SUV, VAN = (4.5, 1.82, 1.47), (4.8, 1.95, 1.75), (5.6, 2.0, 2.3)
 TRUCK, SEMITRAILER, BUS = (9.0, 2.5, 3.4), (16.5, 2.55, 4.0), (12.0, 2.55, 3.2)
@@ -70,7 +70,7 @@ def nothing() -> View:
     return View(whole, np.empty((0, 2)), empty, np.empty((0, 3)), whole)
 
 
-def difference(a: Picture, b: Picture) -> NDArray[np.int64]:
+def difference(a: Image, b: Image) -> NDArray[np.int64]:
     """(H, W) largest difference of the channels."""
     return np.asarray(np.abs(a.astype(int) - b.astype(int)).max(axis=2))
 
