@@ -30,7 +30,7 @@ from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE, TRACK_DTYPE
 from geoorbit_ros.nodes.homography import HomographyNode
 from geoorbit_ros.nodes.lane_geometry import LaneGeometryNode
 from geoorbit_ros.nodes.support.composition import Composition
-from geoorbit_ros.nodes.support.table_stream import stream_qos
+from geoorbit_ros.nodes.support.qos import stream_qos
 from geoorbit_ros.storage.pointcloud2 import decode_table, encode_table
 
 FRAMES_PER_S, VEHICLES, CORES = 30, 20, 2

@@ -32,8 +32,8 @@ from sensor_msgs.msg import PointCloud2
 from geoorbit_ros.core.tables import TRACK_DTYPE
 from geoorbit_ros.fleet.plan import NodePlan, ProcessPlan
 from geoorbit_ros.nodes.support.composition import Composition
-from geoorbit_ros.nodes.support.status_listener import StatusListener
-from geoorbit_ros.nodes.support.table_stream import stream_qos
+from geoorbit_ros.nodes.support.diagnostics import StatusListener
+from geoorbit_ros.nodes.support.qos import stream_qos
 from geoorbit_ros.rendering.output import write_rendered_scene
 from geoorbit_ros.rendering.rendered_scene import render_scene
 from geoorbit_ros.scenes.scene import load_scene
@@ -172,7 +172,13 @@ def start(plan: ProcessPlan, folder: Path, domain_id: int) -> tuple[subprocess.P
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
     }
     environment.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None)
-    command = [sys.executable, "-m", "geoorbit_ros.nodes.support.group", str(file), str(writing)]
+    command = [
+        sys.executable,
+        "-m",
+        "geoorbit_ros.nodes.support.fleet_process",
+        str(file),
+        str(writing),
+    ]
     process = subprocess.Popen(command, pass_fds=[writing], env=environment)
     os.close(writing)
     return process, reading

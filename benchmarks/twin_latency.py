@@ -25,8 +25,7 @@ from sensor_msgs.msg import NavSatFix, PointCloud2
 from geoorbit_ros.conversions import datum_to_fix
 from geoorbit_ros.fleet.plan import NodePlan, ProcessPlan
 from geoorbit_ros.nodes.support.composition import Composition
-from geoorbit_ros.nodes.support.qos import LATCHED
-from geoorbit_ros.nodes.support.table_stream import stream_qos
+from geoorbit_ros.nodes.support.qos import LATCHED, stream_qos
 from geoorbit_ros.roadnet.network import load_network
 from geoorbit_ros.scenes.network import write_network
 from geoorbit_ros.storage.pointcloud2 import encode_table

@@ -10,6 +10,7 @@ import struct
 from collections.abc import Iterable, Mapping, Sequence
 from importlib import import_module
 
+import cv2
 import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -41,6 +42,7 @@ __all__ = [
     "encode_byte_array",
     "encode_clock",
     "encode_compressed_image",
+    "encode_jpeg",
     "encode_path",
     "encode_pose_array",
     "encode_string",
@@ -66,6 +68,10 @@ _OWN_HEADER = struct.Struct("<8xI")
 """Stamp and length of the frame that each pose of a path has again."""
 _DIMENSION = struct.Struct("<II")
 """Size and stride of std_msgs/MultiArrayDimension, after its label."""
+
+
+JPEG_FORMAT = "bgr8; jpeg compressed bgr8"
+"""As compressed_image_transport writes it."""
 
 
 def message_class(message_type: str) -> type | None:
@@ -144,6 +150,20 @@ def encode_compressed_image(stamp_ns: int, frame_id: str, kind: str, data: bytes
     writer.text(kind)
     writer.number("I", len(data))
     return writer.message(data)
+
+
+def encode_jpeg(stamp_ns: int, frame_id: str, image: NDArray[np.uint8], quality: int) -> bytes:
+    """An image as JPEG in a serialised `sensor_msgs/CompressedImage`.
+
+    Args:
+        stamp_ns: Capture time.
+        frame_id: Optical frame of the camera.
+        image: (H, W, 3) uint8, blue-green-red.
+        quality: Of the JPEG, 1 to 100.
+    """
+    # OpenCV encodes without holding Python's lock: other threads of the process go on.
+    data = cv2.imencode(".jpg", image, (cv2.IMWRITE_JPEG_QUALITY, quality))[1].tobytes()
+    return encode_compressed_image(stamp_ns, frame_id, JPEG_FORMAT, data)
 
 
 def encode_pose_array(
@@ -358,10 +378,13 @@ def lane_markers(lane_map: LaneMap, frame_id: str) -> MarkerArray:
     return MarkerArray(markers=markers)
 
 
-def pixel_polygon(stamp_ns: int, frame_id: str, contour: NDArray[np.floating]) -> PolygonStamped:
-    """A closed outline (K, 2) in the image: x right, y down in pixels, z = 0."""
+def pixel_polygon(
+    stamp_ns: int, frame_id: str, contour: NDArray[np.floating] | None
+) -> PolygonStamped:
+    """A closed outline (K, 2) in the image: x right, y down in pixels, z = 0; None has no point."""
     message = PolygonStamped(header=Header(stamp=time_from_ns(stamp_ns), frame_id=frame_id))
-    message.polygon.points = [Point32(x=x, y=y) for x, y in contour.tolist()]
+    points = [] if contour is None else contour.tolist()
+    message.polygon.points = [Point32(x=x, y=y) for x, y in points]
     return message
 
 

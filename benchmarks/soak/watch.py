@@ -17,7 +17,7 @@ from sensor_msgs.msg import PointCloud2
 
 from geoorbit_ros.fleet.health import Row, rows
 from geoorbit_ros.nodes.support.composition import Composition
-from geoorbit_ros.nodes.support.status_listener import StatusListener
+from geoorbit_ros.nodes.support.diagnostics import StatusListener
 from soak.processes import usage
 
 TOPICS = {"tracks": PointCloud2, "lanes": PoseArray}

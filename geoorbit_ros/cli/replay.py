@@ -58,8 +58,8 @@ def replay(
     from geoorbit_ros.cli.tables import print_lanes
     from geoorbit_ros.core.errors import NoTrafficError
     from geoorbit_ros.lanes.geojson import read_lanes
-    from geoorbit_ros.nodes.support.replay import ReplayRequest
-    from geoorbit_ros.nodes.support.replay import replay as run
+    from geoorbit_ros.nodes.support.bag_replay import ReplayRequest
+    from geoorbit_ros.nodes.support.bag_replay import replay as run
     from geoorbit_ros.storage.atomic import atomic_output
 
     camera = load_camera(None, bag, calibration, camera_id, image_size, datum, out)

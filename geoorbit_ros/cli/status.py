@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from geoorbit_ros.fleet.health import Row
     from geoorbit_ros.nodes.support.composition import Composition
-    from geoorbit_ros.nodes.support.status_listener import StatusListener
+    from geoorbit_ros.nodes.support.diagnostics import StatusListener
 
 SETTLE_S, LISTEN_S = 3.0, 6.0
 """`--once` listens at least and, while something isn't healthy, at most this long: discovery takes
@@ -48,7 +48,7 @@ def status(
     from geoorbit_ros.fleet.health import rows
     from geoorbit_ros.fleet.plan import expected_nodes
     from geoorbit_ros.nodes.support.composition import Composition
-    from geoorbit_ros.nodes.support.status_listener import StatusListener
+    from geoorbit_ros.nodes.support.diagnostics import StatusListener
 
     expected = None
     if fleet is not None:

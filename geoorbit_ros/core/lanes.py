@@ -81,6 +81,18 @@ class Lane:
         return float(np.hypot(*np.diff(self.centerline_m, axis=0).T).sum())
 
 
+def lane_of_map(
+    lane_id: int,
+    centerline_m: NDArray[np.float64],
+    left_m: NDArray[np.float64],
+    right_m: NDArray[np.float64],
+) -> Lane:
+    """A lane of a map, by its three lines (K, 2): certain, and without vehicles of its own."""
+    width_m = float(np.mean(np.hypot(*(left_m - right_m).T)))
+    nan = float("nan")
+    return Lane(lane_id, centerline_m, left_m, right_m, width_m, nan, 1.0, "confirmed", nan)
+
+
 @dataclass(frozen=True, slots=True)
 class CrossSection:
     """Lateral distribution of traffic across one direction of travel, for reports.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import time
+from collections.abc import Callable
 
 ALLOCATOR = {
     "MALLOC_ARENA_MAX": "2",
@@ -31,7 +32,10 @@ class FreeMemory:
         self._period_s = period_s
         self._due_s = time.monotonic() + period_s
         # Another C library than glibc has no such function, and manages without.
-        self._trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+        try:
+            self._trim: Callable[[int], int] | None = ctypes.CDLL(None).malloc_trim
+        except AttributeError:
+            self._trim = None
 
     def give_back_if_due(self) -> bool:
         """Whether it was time to; takes some milliseconds then."""

@@ -256,7 +256,7 @@ class Supervisor:
 
 def group_command(plan_file: Path, heartbeat_fd: int) -> list[str]:
     """Run a plan's nodes in a process of their own."""
-    module = "geoorbit_ros.nodes.support.group"
+    module = "geoorbit_ros.nodes.support.fleet_process"
     return [sys.executable, "-m", module, str(plan_file), str(heartbeat_fd)]
 
 

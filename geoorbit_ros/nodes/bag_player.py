@@ -20,8 +20,7 @@ from geoorbit_ros.conversions import encode_clock, message_class
 from geoorbit_ros.core.errors import InputFileError
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.nodes.support.process import run_node
-from geoorbit_ros.nodes.support.qos import LATCHED
-from geoorbit_ros.nodes.support.table_stream import stream_qos
+from geoorbit_ros.nodes.support.qos import LATCHED, stream_qos
 from geoorbit_ros.storage.bag_reader import bag_messages, describe_bag
 from geoorbit_ros.storage.playback import Playback, begun_at, endless, rename_camera
 

@@ -7,19 +7,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from sensor_msgs.msg import CompressedImage, NavSatFix
 
-from geoorbit_ros.conversions import datum_from_fix, encode_compressed_image
+from geoorbit_ros.conversions import datum_from_fix, encode_jpeg
 from geoorbit_ros.core.errors import GeoOrbitError, MessageError
 from geoorbit_ros.core.tables import TRACK_DTYPE
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
-from geoorbit_ros.nodes.support.image_sender import FORMAT
 from geoorbit_ros.nodes.support.process import run_node
-from geoorbit_ros.nodes.support.qos import LATCHED
-from geoorbit_ros.nodes.support.table_stream import TableStream, stream_qos
+from geoorbit_ros.nodes.support.qos import LATCHED, stream_qos
+from geoorbit_ros.nodes.support.table_stream import TableStream
 from geoorbit_ros.twin.cameras import read_carla_cameras, split_names
 from geoorbit_ros.twin.carla.client import CarlaClient, CarlaVehicles
 from geoorbit_ros.twin.carla.frame import read_opendrive
@@ -85,12 +83,11 @@ class CarlaBridgeNode(GeoOrbitNode[CarlaBridgeParameters]):
 
     def close(self) -> None:
         """Leave the server as it was."""
-        if hasattr(self, "vehicles"):
-            try:
-                self.vehicles.close()
-                self.server.close()
-            except GeoOrbitError as error:
-                self.get_logger().warning(str(error))
+        try:
+            self.vehicles.close()
+            self.server.close()
+        except GeoOrbitError as error:
+            self.get_logger().warning(str(error))
 
     def _on_datum(self, fix: NavSatFix) -> None:
         try:
@@ -110,10 +107,7 @@ class CarlaBridgeNode(GeoOrbitNode[CarlaBridgeParameters]):
     def _on_image(
         self, publisher: object, name: str, time_s: float, image: NDArray[np.uint8]
     ) -> None:
-        quality = [cv2.IMWRITE_JPEG_QUALITY, self.p.jpeg_quality]
-        data = cv2.imencode(".jpg", image, quality)[1].tobytes()
-        frame_id = f"{name}_optical"
-        cdr = encode_compressed_image(self._stamp_ns, frame_id, FORMAT, data)
+        cdr = encode_jpeg(self._stamp_ns, f"{name}_optical", image, self.p.jpeg_quality)
         publisher.publish(cdr)  # type: ignore[attr-defined]  # an rclpy publisher
         self._pictures += 1
 

@@ -23,14 +23,9 @@ from geoorbit_ros.federated.rounds.verdict import MIN_JUDGES, judge_divisor
 from geoorbit_ros.federated.strategies.strategy import StrategySettings, make_strategy
 from geoorbit_ros.learning.camera_session import INTERFACE, starting_learner
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
-from geoorbit_ros.nodes.support.byte_topic import (
-    PayloadPublisher,
-    model_qos,
-    subscribe_payloads,
-    updates_qos,
-)
+from geoorbit_ros.nodes.support.byte_topic import PayloadPublisher, subscribe_payloads
 from geoorbit_ros.nodes.support.process import run_node
-from geoorbit_ros.nodes.support.qos import LATCHED
+from geoorbit_ros.nodes.support.qos import LATCHED, model_qos, updates_qos
 
 PERIOD_S = 0.5
 

@@ -20,8 +20,8 @@ from geoorbit_ros.core.errors import InputFileError
 from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.nodes.support.process import run_node
-from geoorbit_ros.nodes.support.qos import LATCHED
-from geoorbit_ros.nodes.support.table_stream import TableStream, stream_qos
+from geoorbit_ros.nodes.support.qos import LATCHED, stream_qos
+from geoorbit_ros.nodes.support.table_stream import TableStream
 
 
 @dataclass(frozen=True, slots=True)

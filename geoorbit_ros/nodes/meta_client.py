@@ -20,14 +20,9 @@ from geoorbit_ros.learning.camera_session import INTERFACE, CameraSession
 from geoorbit_ros.learning.model_file import load_model
 from geoorbit_ros.learning.processes import BackgroundProcess
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
-from geoorbit_ros.nodes.support.byte_topic import (
-    PayloadPublisher,
-    model_qos,
-    subscribe_payloads,
-    updates_qos,
-)
+from geoorbit_ros.nodes.support.byte_topic import PayloadPublisher, subscribe_payloads
 from geoorbit_ros.nodes.support.process import run_node
-from geoorbit_ros.nodes.support.qos import LATCHED
+from geoorbit_ros.nodes.support.qos import LATCHED, model_qos, updates_qos
 from geoorbit_ros.nodes.support.reference_listener import ReferenceListener
 from geoorbit_ros.nodes.support.table_stream import TableStream
 

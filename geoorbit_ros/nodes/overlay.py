@@ -7,8 +7,6 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import cv2
-import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import CompressedImage, PointCloud2
@@ -16,21 +14,18 @@ from std_msgs.msg import String
 
 from geoorbit_ros.calibration.control_points import read_control_points
 from geoorbit_ros.calibration.homography import fit_homography
-from geoorbit_ros.conversions import decode_string, decode_table, encode_compressed_image
+from geoorbit_ros.conversions import decode_string, decode_table, encode_jpeg
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.core.lanes import LaneMap
-from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE, TRACK_DTYPE
+from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE
 from geoorbit_ros.lanes.geojson import parse_lane_file
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
-from geoorbit_ros.nodes.support.image_sender import FORMAT
 from geoorbit_ros.nodes.support.process import run_node
-from geoorbit_ros.nodes.support.qos import LATCHED
-from geoorbit_ros.nodes.support.table_stream import stream_qos
+from geoorbit_ros.nodes.support.qos import LATCHED, stream_qos
 from geoorbit_ros.report.image_overlay import ImageOverlay
 from geoorbit_ros.storage.image_cdr import decode_compressed_image, stamp_of_image
 
 LOOK_S = 0.5
-NO_GROUND = np.empty(0, TRACK_DTYPE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,12 +106,9 @@ class OverlayNode(GeoOrbitNode[OverlayParameters]):
                 return
             place = self.resolve_topic_name("image/compressed")
             _, frame_id, image = decode_compressed_image(image_cdr, place)
-            drawn = self._overlay.draw(
-                image, tracks, NO_GROUND, self._lanes, self._caption(len(tracks))
-            )
-            quality = (cv2.IMWRITE_JPEG_QUALITY, self.p.jpeg_quality)
-            _, jpeg = cv2.imencode(".jpg", drawn, quality)
-            shown = encode_compressed_image(stamp_ns, frame_id, FORMAT, jpeg.tobytes())
+            caption = self._caption(len(tracks))
+            drawn = self._overlay.draw(image, tracks, None, self._lanes, caption)
+            shown = encode_jpeg(stamp_ns, frame_id, drawn, self.p.jpeg_quality)
             self.publish_stream(self._shown, shown)
             self.diagnostics.handled(stamp_ns)
         except GeoOrbitError as error:

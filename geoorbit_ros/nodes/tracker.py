@@ -15,9 +15,10 @@ from geoorbit_ros.core.errors import MessageError
 from geoorbit_ros.core.tables import DETECTION_DTYPE
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.nodes.support.process import run_node
-from geoorbit_ros.nodes.support.table_stream import TableStream, stream_qos
+from geoorbit_ros.nodes.support.qos import stream_qos
+from geoorbit_ros.nodes.support.table_stream import TableStream
 from geoorbit_ros.tracking.parameters import TrackerParameters, first_id_at
-from geoorbit_ros.tracking.tracker import Tracker
+from geoorbit_ros.tracking.tracker import Tracker, outside_image
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,8 +101,8 @@ class TrackerNode(GeoOrbitNode[TrackerNodeParameters]):
 
     def _look_outside(self, rows: NDArray[np.void]) -> None:
         width, height = self.p.image_width, self.p.image_height
-        if width and len(rows) and (rows["x"].max() > width or rows["y"].max() > height):
-            self._outside = f"a box at ({rows['x'].max():.0f}, {rows['y'].max():.0f})"
+        if width and (place := outside_image(rows, width, height)):
+            self._outside = f"a box at ({place[0]:.0f}, {place[1]:.0f})"
 
     def _image_size_fault(self) -> str | None:
         """Parameters of another camera, or of the image before it was scaled."""

@@ -66,7 +66,7 @@ class ImageOverlay:
         self,
         image: Image,
         tracks: NDArray[np.void],
-        ground: NDArray[np.void],
+        ground: NDArray[np.void] | None,
         lane_map: LaneMap | None,
         caption: str,
     ) -> Image:
@@ -75,16 +75,17 @@ class ImageOverlay:
         Args:
             image: (H, W, 3) uint8 BGR.
             tracks: `PIXEL_TRACK_DTYPE` of this frame.
-            ground: `TRACK_DTYPE` of this frame, for the speeds.
+            ground: `TRACK_DTYPE` of this frame, for the speeds; None shows none.
             lane_map: The lanes known now.
             caption: Line in the upper left corner.
         """
         self._frame += 1
         scale = max(image.shape[0] / 720.0, 0.5)
         drawn = self._with_lanes(image, lane_map, scale)
-        speed = dict(
-            zip(ground["track_id"].tolist(), np.hypot(ground["vx"], ground["vy"]), strict=True)
-        )
+        speed: dict[int, float] = {}
+        if ground is not None:
+            speeds_m_s = np.hypot(ground["vx"], ground["vy"])
+            speed = dict(zip(ground["track_id"].tolist(), speeds_m_s, strict=True))
         self._remember(tracks)
         for track_id, trail in self._trails.items():
             points = np.array(trail)

@@ -284,3 +284,11 @@ def _settle(partner: NDArray[np.intp], pairs: Pairs, limit: float) -> None:
     """Write the cheapest assignment of `pairs` into `partner`."""
     chosen = assign(pairs.track, pairs.detection, pairs.cost, limit)
     partner[pairs.track[chosen]] = pairs.detection[chosen]
+
+
+def outside_image(rows: NDArray[np.void], width: int, height: int) -> tuple[float, float] | None:
+    """Right- and lowermost middle of `DETECTION_DTYPE` boxes where it lies outside the image."""
+    if not len(rows):
+        return None
+    x, y = float(rows["x"].max()), float(rows["y"].max())
+    return (x, y) if x > width or y > height else None

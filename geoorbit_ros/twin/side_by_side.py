@@ -205,3 +205,24 @@ class TwinCamera:
         )
         image, truth = self._renderer.render_with_boxes(view, 0.0)
         return image, np.where(truth.visible[:, None] > 0.0, truth.boxes, np.nan)
+
+    def beside(
+        self,
+        image: NDArray[np.uint8] | None,
+        boxes: NDArray[np.void] | None,
+        rows: NDArray[np.void],
+        datum: Datum,
+        alignment: Alignment | None = None,
+    ) -> tuple[NDArray[np.uint8], Difference]:
+        """`side_by_side` of what the camera saw and what the twin shows.
+
+        Args:
+            image: The camera's; None: its boxes stand for it.
+            boxes: `PIXEL_TRACK_DTYPE` of what it saw; None: nothing.
+            rows: As in `render`, with `datum` and `alignment`.
+            datum: Origin of their frame.
+            alignment: What the camera's tracks were moved by.
+        """
+        rendered, twin = self.render(rows, datum, alignment)
+        seen = np.empty((0, 4)) if boxes is None else boxes_of(boxes, self.scale)
+        return side_by_side(image, seen, rendered, twin, self.scale)

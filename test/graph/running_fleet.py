@@ -16,8 +16,8 @@ from std_msgs.msg import String
 
 from geoorbit_ros.fleet.health import NodeReport
 from geoorbit_ros.nodes.support.composition import Composition
+from geoorbit_ros.nodes.support.diagnostics import StatusListener
 from geoorbit_ros.nodes.support.qos import LATCHED_ALL
-from geoorbit_ros.nodes.support.status_listener import StatusListener
 
 REPOSITORY = Path(__file__).parents[2]
 GEOORBIT = (sys.executable, "-m", "geoorbit_ros.cli.main")

@@ -44,7 +44,7 @@ def programs(camera: MadeUpCamera, tmp_path: Path) -> dict[str, list[str]]:
             *("--ros-args", "-p", f"bag:={camera.bag}"),
         ],
         "module": [*module, "geoorbit_ros.nodes.detector"],
-        "group": [*module, "geoorbit_ros.nodes.support.group", str(plan), "1"],
+        "group": [*module, "geoorbit_ros.nodes.support.fleet_process", str(plan), "1"],
         "command": [*command, "replay", *replay, "--out", str(tmp_path / "out" / "lanes.geojson")],
         "watching command": [*command, "status"],
     }

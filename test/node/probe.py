@@ -12,8 +12,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 
 from geoorbit_ros.nodes.support.composition import Composition
-from geoorbit_ros.nodes.support.qos import LATCHED_ALL
-from geoorbit_ros.nodes.support.table_stream import stream_qos
+from geoorbit_ros.nodes.support.qos import LATCHED_ALL, stream_qos
 from geoorbit_ros.storage.pointcloud2 import decode_table, encode_table
 
 LIMIT_S = 20.0

@@ -21,8 +21,7 @@ from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.core.tables import TRACK_DTYPE
 from geoorbit_ros.nodes.sumo_bridge.node import SumoBridgeNode
 from geoorbit_ros.nodes.support.composition import Composition
-from geoorbit_ros.nodes.support.qos import LATCHED
-from geoorbit_ros.nodes.support.table_stream import stream_qos
+from geoorbit_ros.nodes.support.qos import LATCHED, stream_qos
 from geoorbit_ros.scenes.camera import look_at
 from geoorbit_ros.twin.sumo_simulation import SumoSimulation
 

@@ -22,7 +22,7 @@ from geoorbit_ros.conversions import decode_string, message_class
 from geoorbit_ros.fleet.fleet_file import load_fleet
 from geoorbit_ros.fleet.prepare import prepare
 from geoorbit_ros.nodes.support.composition import Composition
-from geoorbit_ros.nodes.support.group import node_class
+from geoorbit_ros.nodes.support.fleet_process import node_class
 from geoorbit_ros.nodes.support.qos import LATCHED_ALL
 from geoorbit_ros.nodes.viewer import ViewerNode
 from geoorbit_ros.scenes.network import write_network

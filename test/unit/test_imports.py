@@ -191,3 +191,92 @@ def test_the_rules_allow_a_right_import(tmp_path: Path, file: str, statement: st
     path.parent.mkdir()
     path.write_text(statement)
     assert [text for item in imports(tmp_path) if (text := breach(item))] == []
+
+
+ARRAY_METHODS = {
+    *("all", "any", "argmax", "argmin", "astype", "clip", "cumsum", "dot", "max", "mean", "min"),
+    *("prod", "ptp", "reshape", "round", "sort", "std", "sum", "transpose", "var"),
+}
+
+
+def array_arithmetic(tree: ast.Module) -> Iterator[tuple[int, str]]:
+    """Line and reason of every place where a file computes with arrays, as far as syntax shows it.
+
+    Types (`NDArray`, `np.float64`, `np.dtype`) may be named. What a parameter's annotation calls an
+    array may be handed on, indexed and counted.
+    """
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and root_of(node.func) in {"np", "numpy", "scipy", "cv2"}:
+            yield node.lineno, f"calls {ast.unparse(node.func)}"
+        if isinstance(node, ast.BinOp | ast.AugAssign) and isinstance(node.op, ast.MatMult):
+            yield node.lineno, "multiplies matrices"
+        if isinstance(node, ast.FunctionDef):
+            arguments = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+            arrays = {
+                a.arg for a in arguments if a.annotation and "NDArray" in ast.unparse(a.annotation)
+            }
+            for part in ast.walk(node):
+                for operand in operands(part):
+                    if root_of(operand) in arrays:
+                        yield operand.lineno, f"computes {ast.unparse(part)}"
+
+
+def root_of(node: ast.expr) -> str:
+    """`a` of `a`, `a.b`, `a[0].b`; else nothing."""
+    while isinstance(node, ast.Attribute | ast.Subscript):
+        node = node.value
+    return node.id if isinstance(node, ast.Name) else ""
+
+
+def operands(node: ast.AST) -> list[ast.expr]:
+    """What an arithmetic expression, a comparison or an array's method works on."""
+    if isinstance(node, ast.BinOp):
+        return [node.left, node.right]
+    if isinstance(node, ast.AugAssign):
+        return [node.target, node.value]
+    if isinstance(node, ast.UnaryOp) and not isinstance(node.op, ast.Not):
+        return [node.operand]
+    if isinstance(node, ast.Compare) and not isinstance(node.ops[0], ast.Is | ast.IsNot | ast.In):
+        return [node.left, *node.comparators]
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
+        return [node.func.value] if node.func.attr in ARRAY_METHODS else []
+    return []
+
+
+def test_nodes_do_not_compute_with_arrays() -> None:
+    found = [
+        f"{path}:{line}: {reason}"
+        for path in sorted((ROOT / "nodes").rglob("*.py"))
+        for line, reason in array_arithmetic(ast.parse(path.read_text(encoding="utf-8")))
+    ]
+    assert not found, "\n" + "\n".join(found)
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "x = np.zeros(3)",
+        "x = np.linalg.norm(v)",
+        "image = cv2.resize(image, (2, 2))",
+        "x = a @ b",
+        "def f(rows: NDArray[np.void]) -> None:\n    x = rows['x'] + 1",
+        "def f(rows: NDArray[np.void]) -> bool:\n    return rows['x'].max() > 3",
+        "def f(a: NDArray[np.float64] | None) -> None:\n    a *= 2",
+        "def f(a: NDArray[np.float64]) -> None:\n    return -a",
+    ],
+)
+def test_the_rule_for_nodes_catches_arithmetic(statement: str) -> None:
+    assert list(array_arithmetic(ast.parse(statement)))
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "x: np.dtype[np.void] = TRACK_DTYPE",
+        "def f(rows: NDArray[np.void]) -> int:\n    return len(rows) + 1",
+        "def f(a: NDArray[np.float64] | None) -> None:\n    if a is not None:\n        g(a[0])",
+        "x = a + b * 2",
+    ],
+)
+def test_the_rule_for_nodes_allows_handing_arrays_on(statement: str) -> None:
+    assert list(array_arithmetic(ast.parse(statement))) == []

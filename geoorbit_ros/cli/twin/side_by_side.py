@@ -59,18 +59,18 @@ def save_side_by_side(
     from geoorbit_ros.calibration.homography import fit_homography
     from geoorbit_ros.storage.track_bag import read_track_bag
     from geoorbit_ros.twin.placement import track_rows
-    from geoorbit_ros.twin.side_by_side import TwinCamera, boxes_of, side_by_side
+    from geoorbit_ros.twin.side_by_side import TwinCamera
 
     homography = fit_homography(read_control_points(calibration, stream.datum))
     camera = TwinCamera(homography, image_size, network.path, stream.datum)
     frames = read_track_bag(bag).frames
     stamps = frames.stamp_ns
     k = int(np.argmin(np.abs(stamps - step.stamp_ns)))
-    rendered, twin = camera.render(track_rows(step), network.datum, stream.alignment)
-    seen = boxes_of(frames.frame(k), camera.scale)
     image = None if video is None else _image_at(video, int(stamps[k] - stamps[0]))
-    picture, difference = side_by_side(image, seen, rendered, twin, camera.scale)
-    cv2.imwrite(str(folder / f"side_by_side_{stream.camera}.png"), picture)
+    shown, difference = camera.beside(
+        image, frames.frame(k), track_rows(step), network.datum, stream.alignment
+    )
+    cv2.imwrite(str(folder / f"side_by_side_{stream.camera}.png"), shown)
     after_s = (step.stamp_ns - int(stamps[0])) / 1e9
     return f"{stream.camera} after {after_s:.1f} s, boxes seen and rendered: {difference.words}."
 

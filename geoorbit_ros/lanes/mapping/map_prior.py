@@ -9,10 +9,11 @@ were measured. Confirmed lanes stay where they are, and no lane gains confidence
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geoorbit_ros.core.lanes import Lane, LaneMap
 from geoorbit_ros.core.polylines import Projection, offset_line, project
@@ -40,6 +41,34 @@ class MapPrior:
     """
 
     lanes: Sequence[Lane]
+
+    @staticmethod
+    def as_seen(lanes: Iterable[Lane], shift_m: NDArray[np.float64], turn_rad: float) -> MapPrior:
+        """Lay the map's lanes where the camera sees them.
+
+        Args:
+            lanes: In the map's own place.
+            shift_m: (2,) What is added to the camera's tracks, after the turn about the origin of
+                its frame, so that they lie on the map.
+            turn_rad: That turn, counter-clockwise.
+        """
+        cos, sin = np.cos(turn_rad), np.sin(turn_rad)
+        back = np.array([[cos, -sin], [sin, cos]])  # row vectors: the transpose turns back
+
+        def seen(line: NDArray[np.float64]) -> NDArray[np.float64]:
+            return np.asarray((line - shift_m) @ back)
+
+        return MapPrior(
+            [
+                replace(
+                    lane,
+                    centerline_m=seen(lane.centerline_m),
+                    left_m=seen(lane.left_m),
+                    right_m=seen(lane.right_m),
+                )
+                for lane in lanes
+            ]
+        )
 
     def refine(self, lane_map: LaneMap) -> LaneMap:
         """A lane map in which sparse lanes have taken the map's word where it is good."""

@@ -24,8 +24,8 @@ from geoorbit_ros.nodes.sumo_bridge.side_by_side import SideBySide
 from geoorbit_ros.nodes.sumo_bridge.twin_publisher import TwinPublisher
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.nodes.support.process import run_node
-from geoorbit_ros.nodes.support.qos import LATCHED
-from geoorbit_ros.nodes.support.table_stream import TableStream, stream_qos
+from geoorbit_ros.nodes.support.qos import LATCHED, stream_qos
+from geoorbit_ros.nodes.support.table_stream import TableStream
 from geoorbit_ros.roadnet.network import load_network
 from geoorbit_ros.twin.cameras import read_views, split_names
 from geoorbit_ros.twin.placement import TwinStep
@@ -125,11 +125,10 @@ class SumoBridgeNode(GeoOrbitNode[SumoBridgeParameters]):
 
     def close(self) -> None:
         """End the simulation."""
-        if hasattr(self, "map"):
-            self.map.close()
-            self.pictures.close()
-            self.forecaster.close()
-            self.runner.close()
+        self.map.close()
+        self.pictures.close()
+        self.forecaster.close()
+        self.runner.close()
 
     def _on_datum(self, camera: str, place: str, fix: NavSatFix) -> None:
         try:

@@ -7,25 +7,25 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import CompressedImage, PointCloud2
 
 from geoorbit_ros.calibration.datum import Datum
-from geoorbit_ros.conversions import decode_table, encode_compressed_image
+from geoorbit_ros.conversions import decode_table, encode_jpeg
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE
 from geoorbit_ros.mapcheck.alignment import Alignment
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
-from geoorbit_ros.nodes.support.image_sender import FORMAT
-from geoorbit_ros.nodes.support.table_stream import stream_qos
+from geoorbit_ros.nodes.support.qos import stream_qos
+from geoorbit_ros.storage.image_cdr import decode_compressed_image
 from geoorbit_ros.twin.cameras import CameraView
 from geoorbit_ros.twin.placement import TwinStep, track_rows
-from geoorbit_ros.twin.side_by_side import TwinCamera, boxes_of, side_by_side
+from geoorbit_ros.twin.side_by_side import TwinCamera
 
 QUALITY = 80
+"""Of the JPEGs. Chosen: larger, more bytes; smaller, thin lines and letters blur."""
 
 
 class SideBySide:
@@ -67,7 +67,8 @@ class SideBySide:
         for camera in views if period_s > 0.0 else ():
             on_image = partial(self._on_image, camera)
             on_boxes = partial(self._on_boxes, camera)
-            node.create_subscription(CompressedImage, f"{camera}/image/compressed", on_image, qos)
+            image_topic = f"{camera}/image/compressed"
+            node.create_subscription(CompressedImage, image_topic, on_image, qos, raw=True)
             node.create_subscription(PointCloud2, f"{camera}/tracks_px", on_boxes, qos, raw=True)
             topic = f"{camera}/twin/side_by_side/compressed"
             self._publishers[camera] = node.create_publisher(CompressedImage, topic, qos)
@@ -93,8 +94,8 @@ class SideBySide:
         """Finish the picture that is being made."""
         self._worker.shutdown(wait=True, cancel_futures=True)
 
-    def _on_image(self, camera: str, message: CompressedImage) -> None:
-        self._image[camera] = bytes(message.data)
+    def _on_image(self, camera: str, cdr: bytes) -> None:
+        self._image[camera] = cdr
 
     def _on_boxes(self, camera: str, cdr: bytes) -> None:
         place = self._node.resolve_topic_name(f"{camera}/tracks_px")
@@ -116,13 +117,23 @@ class SideBySide:
                 self._cameras[camera] = TwinCamera(
                     view.homography, view.image_size, self._network, view.datum
                 )
-            renderer = self._cameras[camera]
-            rendered, twin = renderer.render(rows, self._datum, self._alignments.get(camera))
-            seen = boxes_of(boxes.get(camera, np.zeros(0, PIXEL_TRACK_DTYPE)), renderer.scale)
-            data = np.frombuffer(images.get(camera, b""), np.uint8)
-            read = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) else None
-            image = None if read is None else np.asarray(read, np.uint8)
-            picture, _ = side_by_side(image, seen, rendered, twin, renderer.scale)
-            jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes()
-            publisher.publish(encode_compressed_image(stamp_ns, f"{camera}_optical", FORMAT, jpeg))
+            image, _ = self._cameras[camera].beside(
+                self._decoded(camera, images),
+                boxes.get(camera),
+                rows,
+                self._datum,
+                self._alignments.get(camera),
+            )
+            publisher.publish(encode_jpeg(stamp_ns, f"{camera}_optical", image, QUALITY))
             self.pictures += 1
+
+    def _decoded(self, camera: str, images: Mapping[str, bytes]) -> NDArray[np.uint8] | None:
+        """The camera's latest image; None where there is none that can be used."""
+        if camera not in images:
+            return None
+        place = self._node.resolve_topic_name(f"{camera}/image/compressed")
+        try:
+            return decode_compressed_image(images[camera], place)[2]
+        except GeoOrbitError as error:
+            self._node.diagnostics.refuse(error)
+            return None

@@ -6,38 +6,12 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile
 from std_msgs.msg import ByteMultiArray
 
 from geoorbit_ros.conversions import decode_byte_array, encode_byte_array
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
-
-KEEP_UPDATES = 1000
-
-
-def updates_qos(reliability: str = "reliable") -> QoSProfile:
-    """For updates: many may come at once, nobody needs those of before.
-
-    Args:
-        reliability: `reliable` or, for a server whose clients send again by themselves,
-            `best_effort`. Publishers are always reliable, which fits both.
-    """
-    return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST,
-        depth=KEEP_UPDATES,
-        reliability=ReliabilityPolicy[reliability.upper()],
-    )
-
-
-def model_qos(depth: int) -> QoSProfile:
-    """For models: reliable, and a late joiner gets the last `depth`, a whole one among them."""
-    return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST,
-        depth=depth,
-        reliability=ReliabilityPolicy.RELIABLE,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL,
-    )
 
 
 def subscribe_payloads(

@@ -1,4 +1,4 @@
-"""What every node says about itself on /diagnostics, once a second."""
+"""Topic /diagnostics: what every node says about itself once a second, and who collects it."""
 
 from __future__ import annotations
 
@@ -8,13 +8,19 @@ from collections.abc import Callable, Mapping
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
+from rclpy.context import Context
 from rclpy.node import Node
+
+from geoorbit_ros.core.errors import GeoOrbitError
+from geoorbit_ros.fleet.health import NodeReport
 
 PERIOD_S = 1.0
 LOG_PERIOD_S = 10.0
 """A reason that persists is logged this often."""
 OLD_S = 600.0
 """Stamps older than this are a recording's own, not the present: they have no age."""
+QUEUE = 1000
+"""More nodes than a fleet reports with in a second."""
 
 
 class Diagnostics:
@@ -64,7 +70,7 @@ class Diagnostics:
         """Count a message that could not be used, and log why (each kind at most every 10 s)."""
         self.refused += 1
         self.last_refusal = error
-        place = getattr(error, "place", type(error).__name__)
+        place = error.place if isinstance(error, GeoOrbitError) else ""
         self.warn(f"refused: {error}", f"{type(error).__name__} {place}")
 
     def warn(self, sentence: str, kind: str = "") -> None:
@@ -122,3 +128,35 @@ class Diagnostics:
 
 def _quantile(ordered: list[float], share: float) -> str:
     return f"{ordered[math.ceil(share * len(ordered)) - 1]:.3f}" if ordered else ""
+
+
+class StatusListener(Node):
+    """Keeps the last status of every node; not itself a part of the fleet.
+
+    Args:
+        context: ROS context.
+    """
+
+    def __init__(self, context: Context | None = None) -> None:
+        super().__init__("geoorbit_status", context=context)
+        self._last: dict[str, tuple[float, DiagnosticStatus]] = {}
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_status, QUEUE)
+
+    def reports(self) -> list[NodeReport]:
+        """The last report of every node heard so far."""
+        now = time.monotonic()
+        return [
+            NodeReport(
+                name=name,
+                ok=status.level == DiagnosticStatus.OK,
+                message=status.message,
+                values={item.key: item.value for item in status.values},
+                age_s=now - came_s,
+            )
+            for name, (came_s, status) in sorted(self._last.items())
+        ]
+
+    def _on_status(self, array: DiagnosticArray) -> None:
+        now = time.monotonic()
+        for status in array.status:
+            self._last[status.name] = (now, status)

@@ -1,4 +1,4 @@
-"""Topics whose last message reaches whoever subscribes later."""
+"""Quality of service of the topics, by what they carry."""
 
 from __future__ import annotations
 
@@ -15,6 +15,50 @@ def _latched(depth: int) -> QoSProfile:
 
 
 LATCHED = _latched(1)
-"""To publish, and to follow the newest state."""
+"""Of a state: who subscribes later gets the last message. To publish, and to follow the newest."""
 LATCHED_ALL = _latched(100)
 """To subscribe where every message counts, not the newest alone."""
+
+
+def stream_qos(reliability: str, queue_depth: int) -> QoSProfile:
+    """Quality of service of whatever comes many times a second.
+
+    Args:
+        reliability: `best_effort` or `reliable`.
+        queue_depth: Messages kept for a reader that is behind; 0 keeps all (5000 on either side in
+            Fast DDS; then a reliable publisher blocks).
+    """
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST if queue_depth else HistoryPolicy.KEEP_ALL,
+        depth=queue_depth,
+        reliability=ReliabilityPolicy[reliability.upper()],
+    )
+
+
+KEEP_UPDATES = 1000
+"""Client updates kept for a server that is busy. Chosen: as many as a fleet may have cameras; more
+only costs memory when they come."""
+
+
+def updates_qos(reliability: str = "reliable") -> QoSProfile:
+    """For updates: many may come at once, nobody needs those of before.
+
+    Args:
+        reliability: `reliable` or, for a server whose clients send again by themselves,
+            `best_effort`. Publishers are always reliable, which fits both.
+    """
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=KEEP_UPDATES,
+        reliability=ReliabilityPolicy[reliability.upper()],
+    )
+
+
+def model_qos(depth: int) -> QoSProfile:
+    """For models: reliable, and a late joiner gets the last `depth`, a whole one among them."""
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL,
+    )

@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.conversions import decode_path
 from geoorbit_ros.core.errors import GeoOrbitError
-from geoorbit_ros.core.lanes import Lane
+from geoorbit_ros.core.lanes import Lane, lane_of_map
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.nodes.support.qos import LATCHED
 
 PERIOD_S = 1.0
+"""Between two looks for new topics. Chosen: smaller costs a look at all topics of the graph more
+often, larger finds reference lanes later."""
 _TYPE = "nav_msgs/msg/Path"
 _ROLES = ("centerline", "left", "right")
 _TOPIC = re.compile(r"/lane_(\d+)/(centerline|left|right)")
@@ -66,7 +68,4 @@ def _lane(number: int, lines: dict[str, NDArray[np.float64]]) -> Lane | None:
     shapes = {lines[role].shape for role in _ROLES if role in lines}
     if set(lines) != set(_ROLES) or len(shapes) != 1 or len(lines["left"]) < 2:
         return None
-    width_m = float(np.mean(np.hypot(*(lines["left"] - lines["right"]).T)))
-    nan = float("nan")
-    center, left, right = (lines[role] for role in _ROLES)
-    return Lane(number, center, left, right, width_m, nan, 1.0, "confirmed", nan)
+    return lane_of_map(number, *(lines[role] for role in _ROLES))

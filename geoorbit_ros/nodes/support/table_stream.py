@@ -8,13 +8,13 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import PointCloud2
 
 from geoorbit_ros.conversions import decode_table
 from geoorbit_ros.core.errors import GeoOrbitError, MessageError
 from geoorbit_ros.core.frame_order import FrameOrder, Verdict
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
+from geoorbit_ros.nodes.support.qos import stream_qos
 
 _TYPE = "sensor_msgs/msg/PointCloud2"
 
@@ -33,21 +33,6 @@ class StreamParameters(Protocol):
     @property
     def restart_jump_s(self) -> float:
         """A stamp earlier by more than this is a source that started again."""
-
-
-def stream_qos(reliability: str, queue_depth: int) -> QoSProfile:
-    """Quality of service of whatever comes many times a second.
-
-    Args:
-        reliability: `best_effort` or `reliable`.
-        queue_depth: Messages kept for a reader that is behind; 0 keeps all (5000 on either side in
-            Fast DDS; then a reliable publisher blocks).
-    """
-    return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST if queue_depth else HistoryPolicy.KEEP_ALL,
-        depth=queue_depth,
-        reliability=ReliabilityPolicy[reliability.upper()],
-    )
 
 
 class TableStream:

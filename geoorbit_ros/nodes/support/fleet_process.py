@@ -55,8 +55,10 @@ def node_class(executable: str) -> type[GeoOrbitNode[Any]]:
     except ModuleNotFoundError as error:
         raise ParameterError("node", f"'{executable}'", "an executable of geoorbit_ros") from error
     for _, found in inspect.getmembers(module, inspect.isclass):
-        if issubclass(found, GeoOrbitNode) and getattr(found, "name", "") == executable:
-            return found
+        if issubclass(found, GeoOrbitNode) and found is not GeoOrbitNode:
+            node: type[GeoOrbitNode[Any]] = found
+            if node.name == executable:
+                return node
     raise ParameterError("node", f"'{executable}'", f"a node class in {module.__name__}")
 
 
@@ -82,7 +84,7 @@ def _make(plan: NodePlan) -> GeoOrbitNode[Any]:
 
 
 def run_plan(plan_file: str, descriptor: str) -> int:
-    """What `python -m geoorbit_ros.nodes.support.group PLAN.json DESCRIPTOR` does."""
+    """What `python -m geoorbit_ros.nodes.support.fleet_process PLAN.json DESCRIPTOR` does."""
     plan = ProcessPlan.from_json(Path(plan_file).read_text(encoding="utf-8"), plan_file)
     return run_group(plan, Heartbeat(int(descriptor)))
 
