@@ -27,7 +27,7 @@ from geoorbit_ros.learning.camera_learning import Lesson
 from geoorbit_ros.nodes.meta_client import MetaClientNode
 from geoorbit_ros.nodes.support.process import make_executor
 
-LIMIT_S = 100.0
+LIMIT_S = 200.0
 
 
 def lesson(camera_id: str, tensors: Tensors, order: TrainingOrder) -> LocalResult:

@@ -15,7 +15,7 @@ def test_the_demo_finds_every_lane_and_writes_its_page(tmp_path: Path) -> None:
         [sys.executable, "-m", "geoorbit_ros.cli.main", "demo", "--out", out, "--rate", "0"],
         capture_output=True,
         text=True,
-        timeout=180,
+        timeout=300,
         check=False,
     )
     assert done.returncode == 0, done.stderr

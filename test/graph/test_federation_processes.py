@@ -26,12 +26,12 @@ from geoorbit_ros.federated.rounds.server_config import ServerConfig
 from geoorbit_ros.federated.rounds.server_state import Ledger, ServerState, read_checkpoint
 from geoorbit_ros.learning.camera_session import INTERFACE
 from geoorbit_ros.learning.meta_learner import MetaLearner
-from geoorbit_ros.nodes.support.composition import free_domain_id
+from geoorbit_ros.nodes.support.composition import DomainClaim
 
 REPOSITORY = Path(__file__).parents[2]
 CAMERAS = ("north", "south")
 ROUNDS = 3
-LIMIT_S = 90.0
+LIMIT_S = 180.0
 CONFIG = ServerConfig(rounds=ROUNDS, encoding="top_k", interface=INTERFACE, judges=1)
 
 
@@ -52,8 +52,9 @@ class Processes:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.running: dict[str, subprocess.Popen[bytes]] = {}
+        self._claim = DomainClaim()
         self._environment = os.environ | {
-            "ROS_DOMAIN_ID": str(free_domain_id()),
+            "ROS_DOMAIN_ID": str(self._claim.domain_id),
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             "PYTHONPATH": str(REPOSITORY),
             "OMP_NUM_THREADS": "1",
@@ -86,7 +87,12 @@ class Processes:
     def kill(self, name: str) -> None:
         process = self.running.pop(name)
         process.kill()
-        process.wait(10.0)
+        process.wait(LIMIT_S)
+
+    def close(self) -> None:
+        for name in list(self.running):
+            self.kill(name)
+        self._claim.close()
 
     def learning(self, name: str, stage: int) -> bool:
         """Whether a camera is at work on a round, or on judging the last model."""
@@ -123,8 +129,7 @@ def processes(tmp_path: Path) -> Iterator[Processes]:
         (tmp_path / f"{name}.key").write_text(hashlib.sha256(name.encode()).hexdigest())
     processes = Processes(tmp_path)
     yield processes
-    for name in list(processes.running):
-        processes.kill(name)
+    processes.close()
 
 
 def new_server(roster: Roster) -> FederatedServer:
@@ -260,7 +265,7 @@ def test_a_training_process_ends_with_the_node_that_started_it(tmp_path: Path) -
     worker = int(parent.stdout.readline())
     assert Path(f"/proc/{worker}").exists()
     parent.kill()
-    parent.wait(10.0)
+    parent.wait(LIMIT_S)
     parent.stdout.close()
 
     def gone() -> bool:

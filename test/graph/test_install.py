@@ -21,7 +21,7 @@ from rclpy.node import Node
 
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE, Frames, frames_from_rows
-from geoorbit_ros.nodes.support.composition import free_domain_id
+from geoorbit_ros.nodes.support.composition import DomainClaim
 from geoorbit_ros.scenes.network import write_network
 from geoorbit_ros.scenes.roads import place_roads
 from geoorbit_ros.scenes.scene import load_scene
@@ -35,7 +35,7 @@ NODES = sorted(path.name for path in (REPOSITORY / "scripts").iterdir())
 SERVERLESS = [name for name in NODES if name != "carla_bridge"]
 """The CARLA bridge ends where no server answers (test_carla_bridge_node)."""
 PYTHON = f"python{sys.version_info.major}.{sys.version_info.minor}"
-LIMIT_S = 120
+LIMIT_S = 240
 
 CONTROL_POINTS = """\
 pixel_x,pixel_y,latitude,longitude
@@ -208,15 +208,16 @@ class Observer:
 
 @pytest.fixture
 def observer() -> Iterator[Observer]:
-    context, domain_id = Context(), free_domain_id()
-    rclpy.init(context=context, domain_id=domain_id)
+    context, claim = Context(), DomainClaim()
+    rclpy.init(context=context, domain_id=claim.domain_id)
     node = Node("observer", context=context)
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
-    yield Observer(domain_id, node, executor)
+    yield Observer(claim.domain_id, node, executor)
     executor.shutdown()
     node.destroy_node()
     rclpy.shutdown(context=context)
+    claim.close()
 
 
 def as_pip_user(_prefix: Path, folder: Path) -> tuple[list[str], dict[str, str]]:
@@ -267,7 +268,9 @@ def test_every_executable_starts_its_node_and_ends_on_sigint(
             for process in processes.values():
                 process.send_signal(signal.SIGINT)
             observer.names_after(0.02)
-        output = {name: process.communicate(timeout=30)[0] for name, process in processes.items()}
+        output = {
+            name: process.communicate(timeout=LIMIT_S)[0] for name, process in processes.items()
+        }
     finally:
         for process in processes.values():
             process.kill()
@@ -278,8 +281,8 @@ def test_every_executable_starts_its_node_and_ends_on_sigint(
 
 def wait_until_up(observer: Observer, processes: dict[str, "subprocess.Popen[str]"]) -> None:
     """Spin until the graph shows a node for every process; fails when one ended or none came."""
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + LIMIT_S
     while missing := set(processes) - observer.names_after(0.1):
         for name, process in processes.items():
             assert process.poll() is None, f"{name} ended: {process.communicate()[0]}"
-        assert time.monotonic() < deadline, f"not in the graph after 60 s: {missing}"
+        assert time.monotonic() < deadline, f"not in the graph after {LIMIT_S} s: {missing}"

@@ -25,13 +25,13 @@ from geoorbit_ros.learning.meta_learner import MetaLearner
 
 REPOSITORY = Path(__file__).parents[2]
 CAMERAS = ("north", "south")
-ROUNDS, PORT, LIMIT_S = 2, 11811, 120.0
+ROUNDS, PORT, LIMIT_S = 2, 11811, 240.0
 PREFIX = f"go{os.getpid() % 10_000}"
 HUB = f"{PREFIX}h"
 
 
 def ip(*words: str) -> None:
-    done = subprocess.run(["ip", *words], capture_output=True, text=True, timeout=10)
+    done = subprocess.run(["ip", *words], capture_output=True, text=True, timeout=60)
     if done.returncode:
         raise OSError(f"ip {' '.join(words)}: {done.stderr.strip()}")
 
@@ -65,7 +65,7 @@ def hosts() -> Iterator[dict[str, str]]:
         yield names
     finally:
         for name in names.values():
-            subprocess.run(["ip", "netns", "del", name], capture_output=True, timeout=10)
+            subprocess.run(["ip", "netns", "del", name], capture_output=True, timeout=60)
 
 
 class Running:
@@ -93,7 +93,7 @@ class Running:
     def stop(self) -> None:
         for process in self.processes.values():
             process.send_signal(signal.SIGKILL)
-            process.wait(10.0)
+            process.wait(LIMIT_S)
 
 
 @pytest.fixture

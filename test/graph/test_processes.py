@@ -21,8 +21,7 @@ from geoorbit_ros.nodes.support.qos import LATCHED_ALL
 from geoorbit_ros.storage.database.writer import TrajectoryReader
 
 REPOSITORY = Path(__file__).parents[2]
-LIMIT_S = 60.0
-STOP_S = 20.0
+LIMIT_S = 120.0
 
 
 class Fleet:
@@ -71,7 +70,7 @@ class Fleet:
     def stop(self, name: str, with_signal: signal.Signals) -> int:
         process = self.processes.pop(name)
         process.send_signal(with_signal)
-        return process.wait(STOP_S)
+        return process.wait(LIMIT_S)
 
 
 @pytest.fixture

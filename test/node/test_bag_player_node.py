@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from made_up_camera import MadeUpCamera
-from probe import KEEP_ALL, Probe
+from probe import KEEP_ALL, LIMIT_S, Probe
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import UInt64
@@ -82,7 +82,7 @@ def test_it_waits_for_subscribers_but_not_for_ever(
 ) -> None:
     node = start(nodes, camera, wait_timeout_s=0.5)
     begin = time.monotonic()
-    nodes.wait(lambda: node.done, 20, "the end")
+    nodes.wait(lambda: node.done, LIMIT_S, "the end")
     assert time.monotonic() - begin >= 0.5
     assert node.diagnostics.published == len(camera.frames)
 
@@ -185,7 +185,7 @@ def test_a_bag_that_breaks_off_ends_in_a_sentence(
     def play() -> None:
         parameters = LOSSLESS | {"bag": str(broken), "wait_for_subscribers": 0}
         node = nodes.make(BagPlayerNode, "", parameters)
-        nodes.wait(lambda: node.done, 20, "the end")
+        nodes.wait(lambda: node.done, LIMIT_S, "the end")
 
     with pytest.raises(GeoOrbitError) as caught:
         play()

@@ -9,7 +9,7 @@ import pytest
 from geometry_msgs.msg import PolygonStamped
 from made_models import red_finder
 from numpy.typing import NDArray
-from probe import LOSSLESS, Probe
+from probe import LIMIT_S, LOSSLESS, Probe
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import CompressedImage, Image
 
@@ -121,7 +121,7 @@ def test_when_it_is_behind_the_oldest_images_are_dropped_and_counted(
 
         def slow(stamp_ns: int, image: NDArray[np.generic]) -> NDArray[np.void]:
             begun.set()
-            assert gate.wait(20.0)
+            assert gate.wait(LIMIT_S)
             return quick(stamp_ns, image)
 
         made.detect = slow  # type: ignore[method-assign]

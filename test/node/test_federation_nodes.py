@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from made_up_lanes import LANE_Y_M, START_NS, made_up_reference, made_up_tracks
 from nav_msgs.msg import Path as PathMessage
-from probe import LOSSLESS, Probe
+from probe import LIMIT_S, LOSSLESS, Probe
 from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import ByteMultiArray, MultiArrayDimension, String
 
@@ -205,7 +205,7 @@ def test_cameras_learn_together_over_topics(
         send = probe.table_publisher("tracks")
         for stamp_ns, rows in made_up_tracks(4.0):
             send(stamp_ns, rows)
-    nodes.wait(lambda: all(c.client.finished for c in clients), 30.0, "the end of training")
+    nodes.wait(lambda: all(c.client.finished for c in clients), LIMIT_S, "the end of training")
 
     assert [record.updates for record in server.server.history] == [3, 3, 3, 0]
     assert [record.approved for record in server.server.history] == [False, True, True, True]
@@ -258,7 +258,7 @@ def test_a_worker_that_fails_is_named_and_the_node_goes_on(
     client.session.refer(made_up_reference(), -10.0)
     for stamp_ns, rows in made_up_tracks(1.0):
         client.session.add(stamp_ns, rows.astype(TRACK_DTYPE))
-    nodes.wait(lambda: client.diagnostics.refused == 1, 20.0, "the failure")
+    nodes.wait(lambda: client.diagnostics.refused == 1, LIMIT_S, "the failure")
     assert "no room" in str(client.diagnostics.last_refusal)
     assert client.session.poll(0.0) is None
 
@@ -286,6 +286,6 @@ def test_work_that_a_killed_process_takes_with_it_is_done_once_more(
     client.session.refer(made_up_reference(), -10.0)
     for stamp_ns, rows in made_up_tracks(1.0):
         client.session.add(stamp_ns, rows.astype(TRACK_DTYPE))
-    nodes.wait(lambda: server.server.round > 1, 20.0, "a round")
+    nodes.wait(lambda: server.server.round > 1, LIMIT_S, "a round")
     assert client.diagnostics.refused == 1
     assert "a process that was killed" in str(client.diagnostics.last_refusal)

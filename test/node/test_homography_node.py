@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import PoseArray
 from made_up_camera import MadeUpCamera
-from probe import KEEP_ALL, LOSSLESS, Probe
+from probe import KEEP_ALL, LIMIT_S, LOSSLESS, Probe
 from sensor_msgs.msg import NavSatFix, PointCloud2
 from std_msgs.msg import String
 
@@ -63,7 +63,7 @@ def test_the_datum_reaches_a_late_joiner_exactly(nodes: Composition, camera: Mad
     for _ in range(5):
         nodes.spin()
     fixes = Probe(nodes).listen("datum", NavSatFix)
-    nodes.wait(lambda: bool(fixes), 20, "the datum")
+    nodes.wait(lambda: bool(fixes), LIMIT_S, "the datum")
     datum = read_control_points(camera.calibration).datum
     assert datum is not None
     assert (fixes[0].latitude, fixes[0].longitude) == (datum.latitude_deg, datum.longitude_deg)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from made_up_camera import MadeUpCamera
+from probe import LIMIT_S
 from rclpy.node import Node
 
 from geoorbit_ros.cli.main import main
@@ -90,7 +91,7 @@ def test_an_interrupted_replay_ends_at_once_and_leaves_nothing(
             said = process.stderr.readline()  # the first thing a node logs: the graph is up
             assert "calibration.csv" in said
             process.send_signal(signal.SIGINT)
-            said += process.communicate(timeout=30)[1]
+            said += process.communicate(timeout=LIMIT_S)[1]
         finally:
             process.kill()
     assert process.returncode == 130
@@ -104,8 +105,8 @@ def test_a_composition_is_alone_unless_told_otherwise() -> None:
         lone = first.add(Node("lone", context=first.context))
         other = second.add(Node("other", context=second.context))
         friend = third.add(Node("friend", context=third.context))
-        third.wait(lambda: "lone" in friend.get_node_names(), 20, "the node of the same domain")
-        first.wait(lambda: "friend" in lone.get_node_names(), 20, "the node of the same domain")
+        third.wait(lambda: "lone" in friend.get_node_names(), LIMIT_S, "the node of its domain")
+        first.wait(lambda: "friend" in lone.get_node_names(), LIMIT_S, "the node of its domain")
         assert other.get_node_names() == ["other"]
 
 

@@ -29,22 +29,37 @@ _BASE, _GAIN = 7400, 250
 """Discovery port of a domain: OMG DDS-RTPS 2.5, section 9.6.2.3."""
 
 
-def free_domain_id() -> int:
-    """A domain in which no participant runs on this machine; another one on every call.
+class DomainClaim:
+    """A ROS domain in which no participant runs on this machine, kept until it is closed.
+
+    Processes that start at the same moment never get the same one: an abstract Unix socket
+    (man 7 unix) marks it as taken, and the kernel removes it when the process ends.
+
+    Attributes:
+        domain_id: The domain.
 
     Raises:
         GeoOrbitError: All are taken.
     """
-    number = _LAST - _FIRST + 1
-    for _ in range(number):
-        domain_id = _FIRST + next(_tries) % number
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            try:  # participants share this port among themselves, but not with a plain socket
-                probe.bind(("", _BASE + _GAIN * domain_id))
-            except OSError:
-                continue
-        return domain_id
-    raise GeoOrbitError("ROS domains", f"{_FIRST} to {_LAST} in use", "a free one")
+
+    def __init__(self) -> None:
+        number = _LAST - _FIRST + 1
+        for _ in range(number):
+            self.domain_id = _FIRST + next(_tries) % number
+            self._mark = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+                try:  # participants share this port among themselves, but not with a plain socket
+                    self._mark.bind(f"\0geoorbit ROS domain {self.domain_id}")
+                    probe.bind(("", _BASE + _GAIN * self.domain_id))
+                except OSError:
+                    self._mark.close()
+                    continue
+            return
+        raise GeoOrbitError("ROS domains", f"{_FIRST} to {_LAST} in use", "a free one")
+
+    def close(self) -> None:
+        """Leave the domain to others."""
+        self._mark.close()
 
 
 STEP_S = 0.05
@@ -65,9 +80,11 @@ class Composition:
     """
 
     def __init__(self, domain_id: int | None = None, *, quiet: bool = False) -> None:
+        self._claim: DomainClaim | None = None
         if domain_id is None:
             os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-            domain_id = free_domain_id()
+            self._claim = DomainClaim()
+            domain_id = self._claim.domain_id
         self.domain_id, self._quiet = domain_id, quiet
         self.context = Context()
         no_signals = SignalHandlerOptions.NO
@@ -152,6 +169,8 @@ class Composition:
             self.context.try_shutdown()
             for number, handler in self._handlers.items():
                 signal.signal(number, handler)
+            if self._claim is not None:
+                self._claim.close()
 
     def __enter__(self) -> Composition:
         return self

@@ -254,7 +254,7 @@ def test_images_of_lanes_need_no_sumo() -> None:
         "SceneRenderer(camera, [])\n"
     )
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
-    subprocess.run([sys.executable, "-c", program], env=environment, check=True, timeout=120)
+    subprocess.run([sys.executable, "-c", program], env=environment, check=True, timeout=240)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pytest
 from geoorbit_ros.storage.frames.feed import FrameFeed, LiveFrames, Pace, Thinning
 from geoorbit_ros.storage.frames.source import FrameSource, FrameSourceError, StampedImage
 
-LIMIT_S = 10.0
+LIMIT_S = 60.0
 PERIOD_NS = 40_000_000
 
 

@@ -158,7 +158,7 @@ def test_several_writers_share_a_new_file(tmp_path: Path) -> None:
 
     def record(camera_id: str) -> None:
         try:
-            start.wait(timeout=10)
+            start.wait(timeout=60)
             with TrajectoryDatabase(path) as database:
                 append_all(database, FRAMES, camera_id)
         except BaseException as error:
@@ -168,7 +168,7 @@ def test_several_writers_share_a_new_file(tmp_path: Path) -> None:
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join(timeout=30)
+        thread.join(timeout=120)
     assert faults == []
     with TrajectoryReader(path) as reader:
         for name in "abcd":
