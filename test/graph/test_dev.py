@@ -1,5 +1,6 @@
 """`./dev` on machines of every kind, with stand-ins for Python and the installer: no downloads."""
 
+import fcntl
 import os
 import shutil
 import subprocess
@@ -81,7 +82,7 @@ class Machine:
             env={"PATH": str(self.folder / "bin"), **variables},
             capture_output=True,
             text=True,
-            timeout=60,
+            timeout=240,
         )
 
 
@@ -138,6 +139,20 @@ def test_the_environment_is_made_once_and_again_when_the_requirements_change(
         lock.write("another==1.0\n")
     assert machine.dev("run").returncode == 0
     assert machine.installations() == 2
+
+
+def test_an_environment_that_is_current_waits_for_no_other_command(machine: Machine) -> None:
+    machine.add_python("python3.12")
+    machine.add_installer()
+    assert machine.dev("run").returncode == 0
+    folder = os.open(machine.checkout, os.O_RDONLY)
+    try:
+        fcntl.flock(folder, fcntl.LOCK_EX)  # as a command does that installs
+        done = machine.dev("run")
+    finally:
+        os.close(folder)
+    assert done.returncode == 0
+    assert done.stderr == ""
 
 
 def test_a_failed_installation_shows_its_log_and_is_not_taken_for_whole(machine: Machine) -> None:
