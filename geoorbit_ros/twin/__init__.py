@@ -1,1 +1,1 @@
-"""The digital twin: SUMO networks, reference lanes, and vehicles that move as the tracks say."""
+"""The digital twin: a SUMO simulation whose vehicles move as the cameras' tracks say."""

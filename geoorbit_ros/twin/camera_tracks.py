@@ -1,4 +1,4 @@
-"""One camera's tracks at any time: frames in, a table interpolated to the simulation's step out."""
+"""One camera's tracks, interpolated from its frames to the times of the simulation's steps."""
 
 from __future__ import annotations
 
@@ -30,11 +30,17 @@ OBSERVATION_DTYPE = np.dtype(
 """A track at one time, in the twin's map frame; `heading` is NaN while it is not known."""
 
 MAX_LAG_S = 0.5
-"""A camera that is behind the others by more is not extrapolated."""
+"""A camera that is behind the others by more is not extrapolated. Chosen: larger moves vehicles on
+guesses for longer, smaller lets vehicles of a slow camera coast instead."""
 MAX_AWAY_M = 1e5
-"""A camera farther from the network's datum sees none of it: networks are some tens of km wide."""
+"""A camera farther from the network's datum is refused, and positions farther from its own are
+dropped. Chosen: networks are some tens of kilometres wide."""
 MAX_SPEED_MPS, MAX_SIGMA_M = 100.0, 10.0
+"""Velocities above count as 0, errors above as this. Chosen: no road vehicle drives 360 km/h; an
+error of three lanes says nothing about the lane, however much larger it is."""
 _FIT_RANGE_M = 2000.0
+"""Around a camera, its frame is converted to the twin's by a polynomial fitted this far. Chosen:
+farther than a roadside camera sees."""
 
 
 class CameraTracks:
@@ -60,17 +66,17 @@ class CameraTracks:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all frames: the source starts again."""
+        """Forget all frames, because the source starts again."""
         self._frames: deque[tuple[int, NDArray[np.void]]] = deque()
         self._last = np.empty(0, OBSERVATION_DTYPE)
         self._last_ns: int | None = None
         self.newest_ns: int | None = None
 
     def set_datum(self, datum: Datum) -> None:
-        """Where the camera's own map frame lies; without it, where the twin's does.
+        """Set the origin of the camera's own map frame; without it, the twin's frame is used.
 
         Raises:
-            RoadNetworkError: Nowhere near the network.
+            RoadNetworkError: It is not near the network.
         """
         away_m = float(np.hypot(*self._datum.to_local(datum.latitude_deg, datum.longitude_deg)[0]))
         if not away_m <= MAX_AWAY_M:
@@ -87,8 +93,8 @@ class CameraTracks:
     def add(self, stamp_ns: int, rows: NDArray[np.void]) -> None:
         """Take a frame of `TRACK_DTYPE` rows, later than the one before.
 
-        Rows out of this world go; velocities that no vehicle has count as none, errors that are not
-        known as `MAX_SIGMA_M`, headings that are no angle as not known.
+        Rows with impossible positions are dropped. Impossible velocities count as 0, unknown errors
+        as `MAX_SIGMA_M`, impossible headings as not known.
         """
         table = np.empty(len(rows), OBSERVATION_DTYPE)
         table["stamp_ns"] = stamp_ns
@@ -118,12 +124,12 @@ class CameraTracks:
     def at(self, time_ns: int) -> NDArray[np.void]:
         """Tracks at a time that is not earlier than the last one asked for.
 
-        A track is there from its first frame to its last: between two frames, also with frames
-        missing between them, it is interpolated. Where no later frame is known yet because the
-        camera is behind, tracks go on with their velocity, as predicted ones.
+        A track exists from its first frame to its last. Between two frames it is interpolated, also
+        where frames are missing. Where the camera is behind and no later frame has come, tracks go
+        on with their velocity and are marked as predicted.
         """
         while self._frames and self._frames[0][0] <= time_ns:
-            self._pass(*self._frames.popleft())
+            self._move_past(*self._frames.popleft())
         last = self._last
         if self._last_ns == time_ns:
             exact: NDArray[np.void] = last[last["stamp_ns"] == time_ns]
@@ -137,8 +143,8 @@ class CameraTracks:
         fresh["predicted"] = True
         return fresh
 
-    def _pass(self, stamp_ns: int, table: NDArray[np.void]) -> None:
-        """A frame is now in the past."""
+    def _move_past(self, stamp_ns: int, table: NDArray[np.void]) -> None:
+        """Keep a frame's tracks as the last ones: its time is over."""
         old = self._last
         kept = ~np.isin(old["track_id"], table["track_id"])
         kept &= old["stamp_ns"] >= stamp_ns - self._hold_ns
@@ -147,7 +153,7 @@ class CameraTracks:
 
 
 def _between(before: NDArray[np.void], after: NDArray[np.void], time_ns: int) -> NDArray[np.void]:
-    """Tracks in both tables, linearly between them."""
+    """Tracks that are in both tables, interpolated linearly."""
     _, a, b = np.intersect1d(
         before["track_id"], after["track_id"], assume_unique=False, return_indices=True
     )

@@ -1,4 +1,4 @@
-"""What the bridge is told about its cameras, read and checked."""
+"""Reads and checks what the parameters say about cameras: names, calibrations, image sizes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from geoorbit_ros.twin.carla.frame import CarlaCamera, camera_pose
 
 @dataclass(frozen=True, slots=True)
 class CameraView:
-    """The ground that a camera sees, and how.
+    """The ground that a camera sees, and its calibration.
 
     Attributes:
         datum: Origin of the polygon's frame: the middle of the control points.
@@ -83,18 +83,18 @@ def read_views(
 def read_carla_cameras(
     cameras: list[str], calibrations: str, image_sizes: str, place: str, origin: Datum
 ) -> list[CarlaCamera]:
-    """The cameras as CARLA makes them, in the frame of a road.
+    """The cameras in CARLA's terms, in the frame of a road.
 
     Args:
         cameras: Names.
         calibrations: One file per camera, separated by spaces.
         image_sizes: `1920x1080` of all cameras, or one such for each.
         place: For errors.
-        origin: Where the road's frame lies.
+        origin: Origin of the road's frame.
 
     Raises:
         GeoOrbitError: A file or size that can't be used, not one per camera, or control points that
-            leave the camera's height open.
+            do not determine the camera's height.
     """
     files, found = calibrations.split(), []
     if len(files) != len(cameras):

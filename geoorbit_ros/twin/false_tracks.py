@@ -1,4 +1,4 @@
-"""Tracks that stand for no vehicle: they left theirs, just jumped, or began beside another one."""
+"""Finds tracks that follow no vehicle, and tracks that just jumped or began beside a vehicle."""
 
 from __future__ import annotations
 
@@ -11,26 +11,47 @@ from numpy.typing import NDArray
 from geoorbit_ros.twin.vehicles import Vehicles
 
 MAX_BRAKING_MPS2 = 9.0
-"""Dry asphalt; trackers smooth speeds, and so show less."""
+"""Hardest braking of a vehicle: tyres on dry asphalt. Trackers smooth speeds, and so show less."""
 FAST_MPS, STOPPED_SHARE = 10.0, 0.35
-"""Below this share of the speed that is possible by braking, a vehicle that was fast is none."""
+"""A vehicle that could not have braked below the first, and is slower than this share of the speed
+that braking allows, is false. Chosen: a lower speed or a larger share takes vehicles in queues for
+false tracks, a higher speed or a smaller share leaves false tracks longer."""
 BRAKES_S = 0.4
-"""For so long, as speeds of tracks that change their vehicle are wrong for a moment."""
+"""It must be so for this long. Chosen: speeds are wrong for a moment where a track changes its
+vehicle; larger leaves false tracks longer."""
 STANDS_M, STANDS_S = 6.0, 2.0
-"""What has not moved by more for so long stands."""
+"""A vehicle that has not moved by more than the first for the second stands. Chosen: boxes of far
+vehicles wander by metres; larger takes slow queues for standing, smaller misses false tracks that
+wander."""
 THROUGH_ALONG_M, THROUGH_ACROSS_M = 1.5, 1.0
-GRAZES = 3
-"""So many different vehicles that overlap a standing one by more than both errors drive through it:
-a false box beside the middle of a lane. One alone may be a mistake in its size."""
+"""A moving vehicle whose middle is this near to that of a standing one drives through it. Chosen: a
+third of a car's length, half of its width; larger takes vehicles that pass closely for it."""
+MIN_OVERLAPPING = 3
+"""So many different vehicles that overlap a standing one by more than both errors prove it false:
+it lies beside the middle of a lane. Chosen: a single one may be a mistake in its size; more leave
+false tracks longer."""
 THROUGH_MPS = 4.0
-"""Who drives through another one is faster than vehicles that close up in a queue."""
+"""Only faster vehicles count as driving through. Chosen: vehicles that close up in a queue are
+slower."""
 MAX_SIGMA_M = 2.0
+"""Vehicles with larger ground errors prove nothing. Chosen: half a lane and a little; larger
+compares far vehicles by their noise."""
 LEAVES_M = 10.0
-"""A ghost that moves by more has become a vehicle's track again."""
+"""A false track that moves by more follows a vehicle again. Chosen: larger ignores real vehicles
+longer, smaller lets false tracks back that wander."""
+SETTLE_S = 0.3
+"""A track that has moved as its velocity says for so long follows a vehicle. Chosen: false boxes
+come in single frames, three of which in a row are rare; larger lets vehicles enter later."""
+JUMP_ALONG_M, JUMP_ACROSS_M = 4.0, 2.0
+"""A track that leaves its predicted position by more in one step has jumped. Chosen: a swap of ids
+moves a track to the next lane (3 m) or the next vehicle (6 m and more); larger misses swaps,
+smaller takes noise for them."""
+JUMP_SIGMAS = 3.0
+"""Along the road also so many times its 1-sigma errors: 0.3 % by chance (normal distribution)."""
 
 
 class FalseTrackWatch:
-    """Finds vehicles that are none, and remembers which tracks show them.
+    """Finds vehicles of the twin that can't be real, and remembers the tracks that showed them.
 
     Args:
         vehicles: The vehicles.
@@ -39,34 +60,35 @@ class FalseTrackWatch:
 
     def __init__(self, vehicles: Vehicles, cameras: int) -> None:
         self._vehicles = vehicles
-        self._places: list[dict[int, NDArray[np.float64]]] = [{} for _ in range(cameras)]
-        self._grazed: dict[int, set[int]] = {}  # by standing vehicle: who drove over its side
+        self._positions: list[dict[int, NDArray[np.float64]]] = [{} for _ in range(cameras)]
+        # By the id of a standing vehicle, the ids of moving ones that overlapped it.
+        self._overlapped: dict[int, set[int]] = {}
 
     def forget(self, camera: int) -> None:
-        """A camera's tracker started again."""
-        self._places[camera].clear()
+        """Forget a camera's tracks, because its tracker started again."""
+        self._positions[camera].clear()
 
     def add(self, camera: int, track: int, xy: NDArray[np.float64]) -> None:
-        """From now on this track is a ghost's."""
-        self._places[camera][track] = xy.copy()
+        """This track is false from now on."""
+        self._positions[camera][track] = xy.copy()
 
     def ignored(self, camera: int, rows: NDArray[np.void]) -> NDArray[np.bool_]:
-        """Which rows (R,) are ghosts'; those that have moved on are none any more."""
-        places = self._places[camera]
+        """Which rows (R,) are false tracks; those that have moved on are forgotten."""
+        positions = self._positions[camera]
         flag = np.zeros(len(rows), dtype=np.bool_)
-        if not places:
+        if not positions:
             return flag
         tracks = rows["track_id"].tolist()
         for k, track in enumerate(tracks):
-            if track in places:
-                if np.hypot(*(rows["xy"][k] - places[track])) > LEAVES_M:
-                    del places[track]
+            if track in positions:
+                if np.hypot(*(rows["xy"][k] - positions[track])) > LEAVES_M:
+                    del positions[track]
                 else:
                     flag[k] = True
         return flag
 
     def find(self, now_ns: int, step_s: float) -> NDArray[np.int64]:
-        """Slots of vehicles seen in this step that can't be vehicles."""
+        """Slots of vehicles seen in this step that can't be real."""
         table, slots = self._vehicles.table, self._vehicles.slots
         seen = slots[table["observed"][slots]]
         speed = np.hypot(*table["velocity"][seen].T)
@@ -100,17 +122,18 @@ class FalseTrackWatch:
         along = gap[..., 0] * cos + gap[..., 1] * sin
         across = gap[..., 1] * cos - gap[..., 0] * sin
         inside = (np.abs(along) < THROUGH_ALONG_M) & (np.abs(across) < THROUGH_ACROSS_M)
-        flag[still] = inside.any(axis=1) | self._grazes(seen[still], seen[moving], along, across)
+        flag[still] = inside.any(axis=1)
+        flag[still] |= self._overlapped_often(seen[still], seen[moving], along, across)
         return flag
 
-    def _grazes(
+    def _overlapped_often(
         self,
         still: NDArray[np.int64],
         moving: NDArray[np.int64],
         along: NDArray[np.float64],
         across: NDArray[np.float64],
     ) -> NDArray[np.bool_]:
-        """Which standing vehicles (S,) too many of moving ones (M,) overlap; gaps are (S, M)."""
+        """Which standing vehicles (S,) too many moving ones (M,) overlapped; gaps are (S, M)."""
         table = self._vehicles.table
         error = np.hypot(table["sigma"][still][:, None], table["sigma"][moving])
         side, end = (
@@ -119,31 +142,22 @@ class FalseTrackWatch:
         )
         for s, m in np.argwhere((np.abs(across) < side) & (np.abs(along) < end)).tolist():
             vehicle = int(table["vehicle_id"][still[s]])
-            self._grazed.setdefault(vehicle, set()).add(int(table["vehicle_id"][moving[m]]))
+            self._overlapped.setdefault(vehicle, set()).add(int(table["vehicle_id"][moving[m]]))
         standing = table["vehicle_id"][still].tolist()
-        self._grazed = {v: self._grazed[v] for v in standing if v in self._grazed}
-        return np.array([len(self._grazed.get(v, ())) >= GRAZES for v in standing])
-
-
-SETTLE_S = 0.3
-"""A track that has moved as it says for so long follows something: false boxes come in single
-frames, three of which in a row are rare."""
-JUMP_ALONG_M, JUMP_ACROSS_M = 4.0, 2.0
-"""From one step to the next no vehicle leaves its predicted place by more, but for its errors: a
-swap of ids moves a track to the next lane (3 m) or the next vehicle (6 m and more)."""
-JUMP_SIGMAS = 3.0
+        self._overlapped = {v: self._overlapped[v] for v in standing if v in self._overlapped}
+        return np.array([len(self._overlapped.get(v, ())) >= MIN_OVERLAPPING for v in standing])
 
 
 def reach_along_m(
     sigma_m: NDArray[np.float64], other_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """How far two places of one vehicle may lie apart along its way, by their 1-sigma errors."""
+    """How far two positions of one vehicle may differ along the road, by their 1-sigma errors."""
     return np.maximum(JUMP_ALONG_M, JUMP_SIGMAS * np.hypot(sigma_m, other_m))
 
 
 @dataclass(slots=True)
 class _Path:
-    """Where a track should be by its velocities since a time, and where it was last."""
+    """Where a track should be by its velocities since a time, and its last state."""
 
     since_ns: int
     now_ns: int
@@ -153,7 +167,7 @@ class _Path:
 
 
 class JumpWatch:
-    """Remembers which tracks have jumped, or begun beside a vehicle, and not settled yet.
+    """Remembers tracks that jumped, or began beside a vehicle, until they have settled.
 
     Args:
         cameras: How many there are.
@@ -163,22 +177,25 @@ class JumpWatch:
         self._paths: list[dict[int, _Path | None]] = [{} for _ in range(cameras)]
 
     def forget(self, camera: int) -> None:
-        """A camera's tracker started again."""
+        """Forget a camera's tracks, because its tracker started again."""
         self._paths[camera].clear()
 
     def add(self, camera: int, track: int) -> None:
-        """A track has jumped, or jumped again."""
+        """This track has jumped, maybe again."""
         self._paths[camera][track] = None
 
     def add_new(self, camera: int, tracks: Iterable[int]) -> None:
-        """Tracks without a vehicle are where one may be; those remembered go on settling."""
+        """These tracks have no vehicle and began beside one; those remembered go on settling."""
         for track in tracks:
             self._paths[camera].setdefault(track, None)
 
     def unsettled(self, camera: int, rows: NDArray[np.void], time_ns: int) -> NDArray[np.bool_]:
-        """Which rows (R,), all that no vehicle has, are of tracks that have not settled yet.
+        """Which rows (R,) are of tracks that have not settled yet.
 
-        Tracks that are not among them are forgotten: they have a vehicle, or are gone.
+        Args:
+            camera: Its number.
+            rows: All rows of the camera whose track has no vehicle; other tracks are forgotten.
+            time_ns: Time of the step.
         """
         paths, flag = self._paths[camera], np.zeros(len(rows), dtype=np.bool_)
         if not paths:
@@ -196,7 +213,7 @@ class JumpWatch:
 
 
 def _followed(path: _Path | None, row: NDArray[np.void], time_ns: int) -> _Path:
-    """A path with one more step; it begins anew where the track is not on it."""
+    """The path after one more step; it begins again where the track has left it."""
     xy, velocity, sigma_m = row["xy"].copy(), row["velocity"].copy(), float(row["sigma"])
     if path is None:
         return _Path(time_ns, time_ns, xy, velocity, sigma_m)

@@ -1,4 +1,4 @@
-"""The twin from above: lanes, the ways of its vehicles, and where it stood beside the network."""
+"""Drawings: the twin's vehicles over their lanes, a whole network, forecasts by mean speed."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from geoorbit_ros.roadnet.network import NO_LANE, RoadNetwork
 from geoorbit_ros.twin.forecast.runs import Forecast
 
 MARGIN_M = 15.0
+"""Around the vehicles. Layout of the page."""
 _COLOURS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#9467bd", "#8c564b", "#17becf")
 
 
 class VehiclePaths:
-    """Remembers where vehicles were, for the picture.
+    """Collects where vehicles were, for the drawing.
 
     Attributes:
         xy: (N, 2) positions.
@@ -43,11 +44,11 @@ class VehiclePaths:
         return np.concatenate([np.empty(0, np.int64), *self._lane])
 
 
-def save_twin_figure(path: Path, network: RoadNetwork, ways: VehiclePaths, title: str) -> None:
-    """Draw the part of the network where vehicles were, the road lying along the page."""
+def save_twin_figure(path: Path, network: RoadNetwork, paths: VehiclePaths, title: str) -> None:
+    """Draw the part of the network where vehicles were, with the road along the page."""
     from matplotlib.figure import Figure
 
-    xy, lane = ways.xy, ways.lane
+    xy, lane = paths.xy, paths.lane
     known = np.isfinite(xy).all(axis=1)
     xy, lane = xy[known], lane[known]
     centre = xy.mean(axis=0)
@@ -137,8 +138,8 @@ def save_forecast_figure(path: Path, network: RoadNetwork, forecasts: Sequence[F
                 queued = np.linspace(max(arc[-1] - lane.queue_m_max, 0.0), arc[-1], 30)
                 x, y = (np.interp(queued, arc, line[:, k]) for k in range(2))
                 plot.plot(x, y, color="black", linewidth=1.0)
-        words = f"{one.scenario}: {one.changes}" if one.changes != one.scenario else one.scenario
-        plot.set_title(f"{words}; {one.left_per_h:.0f} vehicles per hour", fontsize=10)
+        title = f"{one.scenario}: {one.changes}" if one.changes != one.scenario else one.scenario
+        plot.set_title(f"{title}; {one.left_per_h:.0f} vehicles per hour", fontsize=10)
         plot.set_ylabel("across, m")
     plots[-1].set_xlabel("along the road, m; dotted: no vehicle; black: the longest queue")
     scale = ScalarMappable(Normalize(0.0, fastest), colours)

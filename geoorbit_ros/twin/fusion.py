@@ -1,10 +1,10 @@
-"""Tracks of all cameras become vehicles: one vehicle however many cameras see it.
+"""Fuses the tracks of all cameras: one vehicle, however many cameras see it.
 
-A track stays with its vehicle as long as it moves like one. A track that is new, or that jumped
-(trackers swap ids), is given to a vehicle that has no track of this camera and is where the track
-is: nearest pairs first for the whole step (Kuhn 1955, linear assignment). The rest enter; one that
-jumped to where nobody is, or begins where another track's vehicle may be, when it has settled
-(`jumps`).
+A track stays with its vehicle as long as it moves like a vehicle. A new track, and one that jumped
+(trackers swap ids), goes to a vehicle nearby that has no track of this camera; all pairs of a step
+are assigned at once (Kuhn 1955, linear assignment). The other tracks enter as new vehicles. Tracks
+that jumped to where no vehicle is, or began beside the vehicle of another track, must settle before
+(`false_tracks.JumpWatch`).
 """
 
 from __future__ import annotations
@@ -23,26 +23,40 @@ Slots = NDArray[np.int64]
 OnRoad = Callable[[NDArray[np.float64]], NDArray[np.bool_]]
 
 GATE_ACROSS_M = 1.7
-"""Half a lane: the vehicle beside is another one."""
+"""Half a lane: farther across, it is the vehicle in the next lane."""
 GATE_TURN_RAD = np.radians(35.0)
+"""Largest difference in heading between a track and its vehicle. Chosen: larger joins crossing
+traffic, smaller loses vehicles in bends while no camera sees them."""
 GATE_SPEED_MPS = 10.0
+"""Largest difference in velocity. Chosen: new tracks have noisy velocities; larger joins oncoming
+slow traffic."""
 DRIFT_MPS = 2.0
-"""A vehicle that is not seen drifts from its prediction by this."""
+"""For every second unseen, a vehicle may be this much farther from its prediction. Chosen: larger
+joins other vehicles, smaller loses those that brake."""
 MERGE_ALONG_M, MERGE_ACROSS_M, MERGE_S = 2.5, 1.2, 0.5
-"""Two vehicles of different cameras that stay this near for this long are one."""
+"""Two vehicles of different cameras that stay this near, along and across, for this many seconds
+are one. Chosen: half a car's length and width; larger joins motorcycles side by side, smaller
+leaves doubles where cameras differ."""
+MERGE_COS = 0.8
+"""Least cosine between their courses, 37 degrees. Chosen: as `GATE_TURN_RAD`."""
+LEAST_SIGMA_M = 0.05
+"""Added to ground errors where several are weighted. Chosen: an error of 0 would outweigh all
+others."""
+ENTERS, IGNORED = -1, -2
+"""In place of a slot: the row enters as a new vehicle, or is ignored."""
 
 
 @dataclass(slots=True)
 class FusionCounts:
-    """What happened so far.
+    """Counts of what happened to tracks so far.
 
     Attributes:
-        jumps: Tracks that left their vehicle's place at once.
-        unsettled: Rows ignored because their track had just jumped to where no vehicle was, or just
-            begun where one may be that another track of the same camera has.
-        handovers: Tracks given to a vehicle that was there already.
+        jumps: Times that a track left its vehicle's position within one step.
+        unsettled: Rows ignored because their track had just jumped to where no vehicle was, or had
+            just begun beside the vehicle of another track of the same camera.
+        handovers: Times that a track was given to an existing vehicle.
         doubled: Rows ignored because they lay within another vehicle of their camera.
-        merged: Vehicles found to be another one's double.
+        merged: Vehicles that were the same as another one.
         off_road: Rows ignored because they lay beside the network.
         false_tracks: Tracks of something that is no vehicle, ignored until they move on.
     """
@@ -57,7 +71,7 @@ class FusionCounts:
 
 
 class Fusion:
-    """Binds tracks to vehicles and vehicles to places.
+    """Assigns tracks to vehicles, and moves the vehicles with their tracks.
 
     Args:
         vehicles: The vehicles; changed with every update.
@@ -74,7 +88,7 @@ class Fusion:
         self._jumps = JumpWatch(cameras)
 
     def release(self, slot: Slots) -> None:
-        """These vehicles are leaving: no track is theirs any more."""
+        """Take all tracks from these vehicles, because they leave."""
         gone = set(slot.tolist())
         if gone:
             for bound in self._bound:
@@ -82,7 +96,7 @@ class Fusion:
                     del bound[track]
 
     def forget_tracks(self, camera: int) -> None:
-        """A camera's tracker started again: its numbers mean nothing any more."""
+        """Forget a camera's tracks, because its tracker started again."""
         self._bound[camera].clear()
         self._false_tracks.forget(camera)
         self._jumps.forget(camera)
@@ -92,7 +106,7 @@ class Fusion:
 
         Args:
             time_ns: Time of the step.
-            step_s: Time since the last one; the vehicles' states are of then.
+            step_s: Time since the last step, of which the vehicles' states are.
             tables: `OBSERVATION_DTYPE` rows of each camera at `time_ns`.
 
         Returns:
@@ -107,8 +121,8 @@ class Fusion:
         entered, slots, rows = [], [], []
         for camera, table_now in enumerate(tables):
             found = table_now[~self._false_tracks.ignored(camera, table_now)]
-            slot = self._bind(camera, found, time_ns)
-            new = np.flatnonzero(slot == -1)
+            slot = self._assign(camera, found, time_ns)
+            new = np.flatnonzero(slot == ENTERS)
             able = self._on_road(found["xy"][new])
             self.counts.off_road += int(np.count_nonzero(~able))
             new = new[able]
@@ -130,37 +144,37 @@ class Fusion:
             self._merge(step_s)
         return np.concatenate(entered) if entered else np.empty(0, np.int64)
 
-    def _bind(self, camera: int, rows: NDArray[np.void], time_ns: int) -> Slots:
-        """The vehicle of each row (R,); -1 for rows to enter, -2 for rows to ignore."""
+    def _assign(self, camera: int, rows: NDArray[np.void], time_ns: int) -> Slots:
+        """The vehicle of each row (R,); `ENTERS` for new vehicles, `IGNORED` for rows to ignore."""
         bound, track = self._bound[camera], rows["track_id"].tolist()
-        slot = np.array([bound.get(t, -1) for t in track], dtype=np.int64)
+        slot = np.array([bound.get(t, ENTERS) for t in track], dtype=np.int64)
         held = np.flatnonzero(slot >= 0)
         jumped = ~self._may_be(rows[held], slot[held])
         self.counts.jumps += int(np.count_nonzero(jumped))
-        slot[held[jumped]] = -1
+        slot[held[jumped]] = ENTERS
         for k in held[jumped].tolist():
             del bound[track[k]]
             self._jumps.add(camera, track[k])
         free = np.flatnonzero(slot < 0)
         if len(free):
             taken = slot[slot >= 0]
-            slot[free] = self._associate(rows[free], taken, time_ns)
+            slot[free] = self._match_vehicles(rows[free], taken, time_ns)
             self.counts.handovers += int(np.count_nonzero(slot[free] >= 0))
             bound.update((track[k], int(slot[k])) for k in free.tolist() if slot[k] >= 0)
             alone = free[slot[free] < 0]
             within, beside = self._by_vehicles(rows[alone], taken)
-            slot[alone[within]] = -2
+            slot[alone[within]] = IGNORED
             self.counts.doubled += int(np.count_nonzero(within))
             self._jumps.add_new(camera, rows["track_id"][alone[beside & ~within]].tolist())
         alone = np.flatnonzero(slot < 0)
         unsettled = self._jumps.unsettled(camera, rows[alone], time_ns)
-        self.counts.unsettled += int(np.count_nonzero(unsettled & (slot[alone] == -1)))
-        slot[alone[unsettled]] = -2
+        self.counts.unsettled += int(np.count_nonzero(unsettled & (slot[alone] == ENTERS)))
+        slot[alone[unsettled]] = IGNORED
         return slot
 
-    def _associate(self, rows: NDArray[np.void], taken: Slots, time_ns: int) -> Slots:
-        """Vehicles for rows without one, -1 where there is none."""
-        found = np.full(len(rows), -1, dtype=np.int64)
+    def _match_vehicles(self, rows: NDArray[np.void], taken: Slots, time_ns: int) -> Slots:
+        """Vehicles for rows without one, `ENTERS` where there is none."""
+        found = np.full(len(rows), ENTERS, dtype=np.int64)
         table = self._vehicles.table
         able = np.setdiff1d(self._vehicles.slots, taken)
         if not len(able):
@@ -174,11 +188,11 @@ class Fusion:
         speed = np.hypot(*(pairs["velocity"] - vehicles["velocity"]).T)
         reach = reach_along_m(pairs["sigma"], vehicles["sigma"]) + DRIFT_MPS * unseen_s
         cost = (along / reach) ** 2 + (across / GATE_ACROSS_M) ** 2
-        barred = (np.abs(along) > reach) | (np.abs(across) > GATE_ACROSS_M)
-        barred |= np.abs(np.nan_to_num(turn)) > GATE_TURN_RAD
+        excluded = (np.abs(along) > reach) | (np.abs(across) > GATE_ACROSS_M)
+        excluded |= np.abs(np.nan_to_num(turn)) > GATE_TURN_RAD
         # A track that has just begun has no velocity yet.
-        barred |= ~np.isnan(pairs["heading"]) & (speed > GATE_SPEED_MPS)
-        matrix = np.where(barred, 1e3, cost).reshape(len(rows), len(able))
+        excluded |= ~np.isnan(pairs["heading"]) & (speed > GATE_SPEED_MPS)
+        matrix = np.where(excluded, 1e3, cost).reshape(len(rows), len(able))
         r, v = linear_sum_assignment(matrix)
         good = matrix[r, v] < 1e3
         found[r[good]] = able[v[good]]
@@ -187,10 +201,7 @@ class Fusion:
     def _by_vehicles(
         self, rows: NDArray[np.void], taken: Slots
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Of rows (R,), which lie within a vehicle that another track of this camera has.
-
-        And which lie where such a vehicle may be.
-        """
+        """Which rows (R,) lie within a vehicle of another track of this camera, and which near."""
         within, beside = np.zeros((2, len(rows)), dtype=np.bool_)
         if not len(rows) or not len(taken):
             return within, beside
@@ -199,7 +210,7 @@ class Fusion:
         reach_m = reach_along_m(sigma, table["sigma"][taken].max()) + JUMP_ACROSS_M + 0.5 * sigma
         reach_m = np.maximum(reach_m, 0.5 * table["length"][taken].max() + JUMP_ACROSS_M)
         gap = rows["xy"][:, None] - table["xy"][taken][None]
-        row, at = np.nonzero((np.abs(gap) < reach_m).all(axis=2))  # few of them are near
+        row, at = np.nonzero((np.abs(gap) < reach_m).all(axis=2))  # few pairs are near
         slot = taken[at]
         along, across = self._apart(rows[row], slot)
         inside = np.abs(along) < 0.5 * table["length"][slot]
@@ -209,7 +220,7 @@ class Fusion:
         return within, beside
 
     def _may_be(self, rows: NDArray[np.void], slot: Slots) -> NDArray[np.bool_]:
-        """Whether rows (M,) are as near to vehicles (M,) as their own tracks would be."""
+        """Whether rows (M,) are as near to vehicles (M,) as their own tracks may be."""
         along, across = self._apart(rows, slot)
         sigma = rows["sigma"]
         near = np.abs(along) <= reach_along_m(sigma, self._vehicles.table["sigma"][slot])
@@ -226,7 +237,7 @@ class Fusion:
         return dx * cos + dy * sin, dy * cos - dx * sin
 
     def _place(self, slot: Slots, rows: NDArray[np.void], time_ns: int) -> None:
-        """Vehicles get the states of their tracks; several are weighted by their variances."""
+        """Give vehicles the states of their tracks; several are weighted by their variances."""
         table = self._vehicles.table
         self._vehicles.vote(slot, type_of_class(rows["class_id"]))
         place, first, inverse, count = np.unique(
@@ -259,7 +270,7 @@ class Fusion:
             self.counts.false_tracks += 1
 
     def _merge(self, step_s: float) -> None:
-        """Give the tracks of a vehicle that is another one's double to the older one."""
+        """Join two vehicles that are one: the older one gets all tracks."""
         slots = self._vehicles.slots
         table = self._vehicles.table
         seen = slots[table["observed"][slots] & (table["cameras"][slots] == 1)]
@@ -272,7 +283,7 @@ class Fusion:
                 turn = table["course"][a] - table["course"][b]
                 cos, sin = np.cos(table["course"][a]), np.sin(table["course"][a])
                 dx, dy = table["xy"][a] - table["xy"][b]
-                if abs(dy * cos - dx * sin) > MERGE_ACROSS_M or np.cos(turn) < 0.8:
+                if abs(dy * cos - dx * sin) > MERGE_ACROSS_M or np.cos(turn) < MERGE_COS:
                     continue
                 if not any(a in bound and b in bound for bound in cameras):
                     near[a, b] = self._near_s.get((a, b), 0.0) + step_s
@@ -291,7 +302,7 @@ def _weighted_means(
     rows: NDArray[np.void], group: NDArray[np.int64], first: NDArray[np.int64]
 ) -> NDArray[np.void]:
     """One row per group: means weighted by the inverse of the squared ground error."""
-    weight = 1.0 / (rows["sigma"] ** 2 + 0.05**2)
+    weight = 1.0 / (rows["sigma"] ** 2 + LEAST_SIGMA_M**2)
     total = np.bincount(group, weight)
 
     def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:

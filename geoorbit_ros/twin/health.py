@@ -1,4 +1,4 @@
-"""How well the twin follows: errors, delay and events over a number of steps."""
+"""How well the twin follows its tracks: errors and delays over a number of steps."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from geoorbit_ros.roadnet.network import NO_LANE
 from geoorbit_ros.twin.placement import TwinStep
 
 POSITION_LIMIT_M, HEADING_LIMIT_DEG, LANE_LIMIT = 0.05, 1.0, 0.005
-"""Errors beyond these are a fault: the twin is put where the tracks are, nothing else moves it."""
+"""Errors beyond these are reported as faults. Chosen: vehicles are put where their tracks are, so
+that errors are about zero; a larger one is a fault of SUMO or of its network."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +28,7 @@ class HealthReport:
         position_error_m_p95, position_error_m_max: Of the middle of the footprint.
         heading_error_deg_p95, heading_error_deg_max: Of the heading.
         lane_error_share: Share of vehicle steps in another lane than the tracks say.
-        beside_share: Share of vehicle steps beside every lane.
+        beside_share: Share of vehicle steps outside all lanes.
         overlapping_steps: Vehicle pairs nearer than 1 m, summed over the steps.
         lost: Vehicles that SUMO took away and that were put back.
         step_ms_median, step_ms_p99: Time that a step took.
@@ -57,7 +58,7 @@ class HealthReport:
 
     @property
     def faults(self) -> list[str]:
-        """What is not as it should be, as sentences."""
+        """Faults as sentences; none where all is well."""
         found = []
         if self.position_error_m_p95 > POSITION_LIMIT_M:
             found.append(f"vehicles are {self.position_error_m_p95:.2f} m from their tracks (95 %)")
@@ -75,7 +76,7 @@ class HealthReport:
 
 
 class HealthWindow:
-    """Gathers steps until they are reported."""
+    """Collects steps until they are reported."""
 
     def __init__(self) -> None:
         self._steps: list[TwinStep] = []
@@ -107,8 +108,8 @@ class HealthWindow:
         self._vehicles, self._stamp_ns = len(step.xy), step.stamp_ns
         self._cost_s.append(step.cost_s)
 
-    def took(self, latency_s: float) -> None:
-        """From the arrival of a frame to the twin that shows it."""
+    def add_latency(self, latency_s: float) -> None:
+        """Take the time from the arrival of a frame to the published twin."""
         self._latency_s.append(latency_s)
 
     def report(self) -> HealthReport:

@@ -1,10 +1,11 @@
 """Which lane each vehicle is in: a hidden Markov filter over lanes, updated with every step.
 
 States are the lanes near the vehicle. The observation is its distance from the lane's middle and
-its heading against the lane's; transitions follow the network: staying and driving on are free,
-a lane change costs, a jump costs much (Newson and Krumm 2009, "Hidden Markov map matching through
-noise and sparseness", here with lanes in place of roads, and as a filter: no later observation is
-waited for). The distance changes no faster than a vehicle can cross the road (`crossing`).
+its heading against the lane's. Transitions follow the network: to stay and to drive on costs
+nothing, a lane change some, a jump much (Newson and Krumm 2009, "Hidden Markov map matching through
+noise and sparseness"; here with lanes in place of roads, and as a filter, which does not wait for
+later observations). The distance changes no faster than a vehicle can cross the road
+(`lane_changes.CrossingLimit`).
 """
 
 from __future__ import annotations
@@ -20,20 +21,29 @@ from geoorbit_ros.roadnet.network import NO_LANE, RoadNetwork
 from geoorbit_ros.twin.lane_changes import CrossingLimit, LaneLinks
 
 LATERAL_SIGMA_M = 0.7
-"""Drivers keep within 0.3 m of their own line, which is 0.2 m off the middle; maps and cameras add
-theirs. Errors of one vehicle last for seconds, and so one observation must not count for much."""
+"""1-sigma of a vehicle's distance from its lane's middle. Chosen on the shipped scenes (ADR 0018):
+drivers, maps and cameras err by less, but for seconds, so that one observation must not count for
+much; smaller follows lane changes sooner and changes lanes on a line more often."""
 SIGMA_SHARE = 0.15
-"""Of the track's worst ground error, which lies along the line of sight, this much is lateral."""
+"""Share of the track's ground error, which lies along the line of sight, that is lateral. Chosen:
+larger lets far vehicles stay in wrong lanes and made ramps worse (ADR 0018)."""
 HEADING_SIGMA_RAD = np.radians(12.0)
+"""1-sigma of a vehicle's heading against its lane's. Chosen: smaller lets noisy headings of slow
+vehicles choose the lane, larger does not tell a ramp from the road."""
 MAX_TURN_RAD = np.radians(80.0)
-"""Nobody drives along a lane with this angle to it: it is another road or another direction."""
+"""Lanes at a larger angle to the vehicle are of another road or direction. Chosen: larger admits
+crossing roads, smaller loses vehicles that turn."""
 ENTRY_M = 4.0
-"""Nothing farther from the middle of every lane is traffic: half a lane and a shoulder."""
+"""Vehicles enter only this near to the middle of a lane. Chosen: half a lane and a shoulder; larger
+admits what moves beside the road."""
 END_SLACK_M = 1.0
-"""Lanes that follow each other may leave a gap of this between them."""
+"""A vehicle counts as between a lane's ends up to this beyond them. Chosen: lanes that follow each
+other may leave a gap."""
 IMPOSSIBLE = -1e6
+"""Log likelihood of a lane that a vehicle can't be in: less than any sum of others."""
 FORGET = 12.0
-"""Cost of the worst hypothesis that is kept: a lane that was ruled out can come back."""
+"""Cost of the worst hypothesis that is kept. Chosen: more than an unconnected move
+(`lane_changes.UNRELATED`), so that a lane that was excluded can come back; larger takes longer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,8 +51,8 @@ class Matches:
     """Lanes of M vehicles.
 
     Attributes:
-        lane: (M,) lane number, `NO_LANE` beside the network.
-        arc_m: (M,) place along the lane.
+        lane: (M,) lane number, `NO_LANE` outside the network.
+        arc_m: (M,) metres along the lane.
         offset_m: (M,) distance from the lane's middle, positive to the left.
         within: (M,) whether the vehicle's middle can be between the borders of a lane, and between
             the ends of this one.
@@ -57,7 +67,7 @@ class Matches:
 
 
 class LaneMatcher:
-    """Keeps for each vehicle, in its slot, the lanes that it may be in.
+    """Finds each vehicle's lane; remembers for each slot the lanes that it may be in.
 
     Args:
         network: Whose lanes.
@@ -77,11 +87,11 @@ class LaneMatcher:
         self._steady = np.zeros(capacity, dtype=np.bool_)
 
     def follow(self, driven: DrivenNetwork) -> None:
-        """From now on lanes, under the same numbers, are where they are driven."""
+        """Use from now on the lanes where they are driven; their numbers stay the same."""
         self._index, self._half_m = driven.index, 0.5 * driven.network.width_m
 
     def forget(self, slot: NDArray[np.int64]) -> None:
-        """Vehicles in these slots are new ones."""
+        """Start again for these slots: they hold new vehicles."""
         self._reserve(int(slot.max(initial=-1)) + 1)
         self._lane[slot] = NO_LANE
         self._steady[slot] = False
@@ -126,7 +136,7 @@ class LaneMatcher:
         rows = np.arange(len(slot))
         lane = np.where(lost, NO_LANE, near.lane[rows, best])
         self._lane[slot], self._score[slot] = near.lane, score
-        self._lane[slot[lost]] = NO_LANE  # where it comes back, it begins anew
+        self._lane[slot[lost]] = NO_LANE  # where it comes back, it starts again
         self._crossing.keep(slot, xy, near.heading_rad[rows, best], excess[rows, best])
         offset = near.offset_m[rows, best]
         return Matches(
@@ -138,7 +148,7 @@ class LaneMatcher:
         )
 
     def _prior(self, slot: NDArray[np.int64], lane: NDArray[np.int64]) -> NDArray[np.float64]:
-        """(M, C) what the past says about lanes (M, C) of now."""
+        """(M, C) log likelihood of lanes (M, C) by the steps before."""
         same = (self._lane[slot] == lane).all(axis=1)
         outdated = ~(same & self._steady[slot])
         if outdated.any():

@@ -17,19 +17,20 @@ from geoorbit_ros.twin.simulation import Moves, Simulation, States
 from geoorbit_ros.twin.vehicles import TYPES, Vehicles
 
 RESIZE_M = 0.5
-"""A vehicle gets another length when its track's differs by this."""
+"""A vehicle gets another length when its track's differs by this. Chosen: smaller resizes vehicles
+with every noisy box, larger shows wrong lengths."""
 REACH_M = 1.0
-"""SUMO looks for the lane this much farther than where it should be at most: where its front is
-half a length beside its middle."""
+"""SUMO looks for the lane this much farther than the vehicle's offset and half its length. Chosen:
+larger looks at more lanes and costs time, smaller can miss the lane in a bend."""
 
 
 @dataclass(frozen=True, slots=True)
 class TwinStep:
-    """The twin after one step; M vehicles, all in the map frame.
+    """The twin after one step: M vehicles, in the map frame.
 
     Attributes:
         stamp_ns: Time of the step.
-        vehicle_id: (M,) unique for ever.
+        vehicle_id: (M,) never used again.
         xy: (M, 2) middle of the footprint as SUMO has it; NaN for a vehicle that SUMO took away.
         heading_rad: (M,) counter-clockwise from east, as SUMO has it.
         velocity: (M, 2) m/s.
@@ -39,7 +40,7 @@ class TwinStep:
         lane: (M,) lane number that SUMO has it in, by its front; `NO_LANE` beside the network.
         wanted_lane: (M,) lane number that it was put on; `NO_LANE` beside every lane, where SUMO
             may count it to the nearest lane or to none.
-        observed: (M,) whether a camera saw it; otherwise it goes on as before.
+        observed: (M,) whether a camera saw it; otherwise it goes on along its lane.
         cameras: (M,) how many did.
         wanted_xy: (M, 2) where the tracks say it is.
         wanted_heading_rad: (M,) as tracked.
@@ -85,7 +86,7 @@ class Placement:
         self.lost = 0
 
     def follow(self, driven: DrivenNetwork) -> None:
-        """From now on lanes are where they are driven; the simulation's stay."""
+        """Use from now on the lanes where they are driven; those in SUMO stay."""
         self._network, self._moved_m = driven.network, driven.largest_m
 
     def replace(self, simulation: Simulation) -> None:
@@ -95,7 +96,7 @@ class Placement:
         self._vehicles.table["entered"] = False
 
     def leave(self, slot: NDArray[np.int64]) -> None:
-        """These vehicles leave with the next step."""
+        """Let these vehicles leave with the next step."""
         rows = self._vehicles.table[slot]
         self._leaving += _names(rows["vehicle_id"][rows["entered"]])
 
@@ -158,7 +159,7 @@ class Placement:
     def _front_lanes(
         self, rows: NDArray[np.void], front: NDArray[np.float64]
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Lanes of the front bumpers, and places along them (M,).
+        """Lanes of the front bumpers, and metres along them (M,).
 
         The next lane where the front is over an end, `NO_LANE` where none comes next.
         """

@@ -1,4 +1,4 @@
-"""Recorded tracks through the twin, as fast as it goes, without a ROS graph."""
+"""Replays recorded tracks through the twin, as fast as it can, without ROS; writes its states."""
 
 from __future__ import annotations
 
@@ -25,7 +25,9 @@ from geoorbit_ros.twin.synchronizer import Synchronizer
 from geoorbit_ros.twin.vehicles import TYPES
 
 STEP_S, HOLD_S = 0.1, 1.5
-"""The bridge's defaults (params/sumo_bridge.yaml)."""
+"""The defaults of the node sumo_bridge (params/sumo_bridge.yaml)."""
+COLUMNS = "time_s,vehicle,type,latitude,longitude,heading_deg,speed_mps,length_m,lane,observed"
+"""Of vehicles.csv, see `StateWriter`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +38,7 @@ class TrackStream:
         camera: Its name.
         frames: Stamp and `TRACK_DTYPE` rows in time order.
         datum: Origin of the frame that the rows are in.
-        alignment: Lays the tracks on the network; None leaves them where they are.
+        alignment: Lays the tracks on the network; None: they are used as they are.
     """
 
     camera: str
@@ -86,7 +88,7 @@ def replay_tracks(
         on_step: Called with each step.
         step_s: Length of a step.
         hold_s: How long a vehicle that no camera sees goes on.
-        driven: Where the network's lanes are driven; None where they are.
+        driven: The network with its lanes where they are driven; None: the network itself is used.
 
     Raises:
         SimulationError: SUMO is gone.
@@ -123,19 +125,16 @@ def _named(stream: TrackStream) -> Iterator[tuple[int, str, NDArray[np.void]]]:
         yield stamp_ns, stream.camera, rows
 
 
-COLUMNS = "time_s,vehicle,type,latitude,longitude,heading_deg,speed_mps,length_m,lane,observed"
-
-
 class StateWriter:
-    """Writes `COLUMNS`; a context manager.
+    """Writes the vehicles of every step as CSV with `COLUMNS`; a context manager.
 
     Time is the tracks' own; positions are the middle of the footprint; headings are clockwise
     from north; `lane` is SUMO's id, empty beside the network; `observed` is 0 where no camera saw
-    the vehicle and it went on by itself.
+    the vehicle and it went on along its lane.
 
     Args:
         path: The file.
-        network: Names the lanes, and says where on earth they are.
+        network: Its lanes and datum.
     """
 
     def __init__(self, path: Path, network: RoadNetwork) -> None:

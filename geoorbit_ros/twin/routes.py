@@ -1,4 +1,4 @@
-"""The traffic that was seen as SUMO's own demand: route and type files that plain `sumo` runs."""
+"""Writes the traffic that was seen as SUMO's demand: route and type files for plain `sumo`."""
 
 from __future__ import annotations
 
@@ -17,15 +17,19 @@ from geoorbit_ros.twin.vehicles import TYPES, add_type
 
 ROUTES, TYPE_FILE, CONFIG = "traffic.rou.xml", "traffic.add.xml", "traffic.sumocfg"
 MIN_DRIVEN_M = 20.0
-"""Of a vehicle that was seen for less, neither lane nor speed are known: it may be no vehicle."""
+"""Vehicles seen over less are left out. Chosen: neither lane nor speed of such a vehicle is known,
+and it may be a false track; larger loses vehicles at the border of the view."""
 SPEED_FACTOR_BOUNDS = (0.2, 2.0)
+"""Of speed over limit. Chosen: slower is a queue, faster a wrong track or a wrong limit; wider
+passes them on to SUMO's drivers."""
 SPEED_S = 1.0
-"""A vehicle departs with its mean speed over this time."""
+"""A vehicle departs with its mean speed over this time, and is measured in such steps. Chosen:
+shorter adds up the noise of positions, longer hides that it brakes."""
 
 
 @dataclass(slots=True)
 class _Seen:
-    """What is kept of a vehicle: its beginning, and what it drove up to `end_s`."""
+    """What is kept of a vehicle: where it began, and what it drove up to `end_s`."""
 
     begin_s: float
     lane: int
@@ -44,15 +48,15 @@ class _Seen:
 
 @dataclass(frozen=True, slots=True)
 class RouteCounts:
-    """Vehicles written, and left out because they were seen too short or on no way."""
+    """Vehicles written, and those left out: seen too short, or without a route between edges."""
 
     written: int
     too_short: int
-    no_way: int
+    no_route: int
 
 
 class RouteWriter:
-    """Gathers the twin's steps, then writes the demand they show.
+    """Collects the twin's steps, then writes their traffic as demand.
 
     A vehicle departs when and where it entered the twin, in its lane, at its speed, and drives the
     edges on which it was seen. Its `speedFactor` is its own mean speed over that of the limits.
@@ -87,7 +91,7 @@ class RouteWriter:
             seen.limit_m += float(network.speed_mps[lane]) * (time_s - seen.last_s)
             seen.last_s = time_s
             if time_s >= seen.end_s + SPEED_S:
-                # From second to second: from step to step the noise of places would add up.
+                # Second by second: step by step, the noise of positions would add up.
                 driven = float(np.hypot(*(xy - seen.last_xy)))
                 if seen.driven_m == 0.0:
                     seen.speed_mps = driven / (time_s - seen.end_s)
@@ -103,16 +107,16 @@ class RouteWriter:
             folder: Where the files go.
             network_file: Path of the network, as the configuration shall name it.
         """
-        routes, ways = Xml.Element("routes"), RouteFinder(self._network)
+        routes, finder = Xml.Element("routes"), RouteFinder(self._network)
         factors: dict[int, list[float]] = {}
-        too_short = no_way = written = 0
+        too_short = no_route = written = 0
         for number, seen in sorted(self._seen.items(), key=lambda item: item[1].begin_s):
             if seen.driven_m < MIN_DRIVEN_M:
                 too_short += 1
                 continue
-            edges = ways.complete(seen.edges)
+            edges = finder.complete(seen.edges)
             if edges is None:
-                no_way += 1
+                no_route += 1
                 continue
             factor = float(np.clip(seen.driven_m / max(seen.measured_m, 1.0), *SPEED_FACTOR_BOUNDS))
             factors.setdefault(seen.kind, []).append(factor)
@@ -126,7 +130,7 @@ class RouteWriter:
         _save(routes, folder / ROUTES)
         _save(additional, folder / TYPE_FILE)
         _save(_config(network_file), folder / CONFIG)
-        return RouteCounts(written, too_short, no_way)
+        return RouteCounts(written, too_short, no_route)
 
 
 def _add_vehicle(

@@ -1,4 +1,4 @@
-"""A synchroniser whose simulation is started again when it dies."""
+"""A synchroniser whose simulation is started again when it ends."""
 
 from __future__ import annotations
 
@@ -20,11 +20,12 @@ from geoorbit_ros.twin.sumo_process import SimulationError
 from geoorbit_ros.twin.synchronizer import Synchronizer
 
 RETRY_S = 5.0
-"""A simulation that does not start is tried again after this long."""
+"""A simulation that does not start is tried again after this long. Chosen: shorter costs the live
+node time, longer leaves it without SUMO."""
 
 
 class TwinRunner:
-    """Feeds a synchroniser; when the simulation dies, a new one takes its place.
+    """Runs a synchroniser; when the simulation ends unexpectedly, a new one takes its place.
 
     The vehicles are kept here, not in SUMO: with the next step all of them enter the new
     simulation where they are by then.
@@ -65,11 +66,11 @@ class TwinRunner:
 
     @property
     def simulation(self) -> Simulation | None:
-        """The one that is running; None while none can be started."""
+        """The running simulation; None while none can be started."""
         return self._simulation
 
     def set_datum(self, camera: str, datum: Datum) -> None:
-        """Where a camera's map frame lies."""
+        """Set the origin of a camera's map frame."""
         self.twin.set_datum(camera, datum)
 
     def set_alignment(self, camera: str, alignment: Alignment) -> None:
@@ -77,7 +78,7 @@ class TwinRunner:
         self.twin.set_alignment(camera, alignment)
 
     def follow(self, driven: DrivenNetwork) -> None:
-        """Count vehicles to the lanes where those are driven."""
+        """Use from now on the lanes where they are driven."""
         self.twin.follow(driven)
 
     def set_scenario(self, scenario: Scenario) -> None:
@@ -87,25 +88,25 @@ class TwinRunner:
             self._simulation.set_scenario(scenario)
 
     def restart(self, camera: str) -> None:
-        """A camera's stream begins anew."""
+        """A camera's stream starts again."""
         self.twin.restart(camera)
 
     def add(self, camera: str, stamp_ns: int, rows: NDArray[np.void]) -> None:
         """Take a frame; see `Synchronizer.add`.
 
         Raises:
-            SimulationError: The simulation died during this frame; a new one has been started, or
-                will be, and catches up with the next frames.
+            SimulationError: The simulation ended during this frame. A new one has been started, or
+                will be, and continues with the next frames.
         """
         if self._simulation is None:
-            self._revive()
+            self._start_again()
         try:
             self.twin.add(camera, stamp_ns, rows)
         except SimulationError:
             if self._simulation is not None:
                 self._simulation.close()
                 self._simulation = None
-            self._revive()
+            self._start_again()
             raise
 
     def diagnostic_values(self) -> dict[str, object]:
@@ -125,7 +126,7 @@ class TwinRunner:
             self._simulation.close()
             self._simulation = None
 
-    def _revive(self) -> None:
+    def _start_again(self) -> None:
         now_s = self._clock_s()
         if now_s - self._failed_s < RETRY_S:
             found = "a simulation that did not start again"

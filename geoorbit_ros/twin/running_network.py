@@ -1,9 +1,9 @@
-"""The network as the running simulation gets it: the same lanes, fewer points, shorter pieces.
+"""The copy of a network that SUMO simulates: the same lanes with fewer points, in shorter edges.
 
-`moveToXY` walks along the whole shape of every lane near the vehicle, several times: on a motorway
-drawn every 2 m it costs 260 µs per vehicle and step. So shapes are thinned to two centimetres, and
-edges that still have many points are cut into pieces joined end to end
-(docs/adr/0017-running-network.md). Pieces are named `<edge>~1`, `<edge>~2`, …; nobody outside of
+`moveToXY` looks several times at every point of every lane near the vehicle: on a motorway drawn
+every 2 m it costs 260 µs per vehicle and step. So shapes are thinned to two centimetres, and edges
+that still have many points are cut into pieces joined end to end
+(docs/adr/0017-running-network.md). Pieces are named `<edge>~1`, `<edge>~2`, …; only
 `sumo_simulation.py` sees those names.
 """
 
@@ -21,6 +21,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.roadnet.network_file import parse_xml
+
+TOLERANCE_M = 0.02
+"""No lane moves by more. netconvert rounds coordinates to half of it: a tighter tolerance keeps
+points of straight lanes that only the rounding made (ADR 0017)."""
+MAX_POINTS = 4
+"""Points per lane of a piece, more only where it would be shorter than `MIN_PIECE_M`. Measured with
+benchmarks/twin.py (ADR 0017): a change of piece costs SUMO about as much as three points."""
+MIN_PIECE_M = 8.0
+"""Least length of a piece. Chosen: two vehicle lengths; shorter makes vehicles change pieces in
+every step."""
+MARK = "~"
+"""Between an edge's id and the number of its piece."""
 
 
 def thin(line: NDArray[np.float64], tolerance_m: float) -> list[int]:
@@ -47,20 +59,9 @@ def thin(line: NDArray[np.float64], tolerance_m: float) -> list[int]:
     return sorted(kept)
 
 
-TOLERANCE_M = 0.02
-"""No lane moves by more. netconvert rounds coordinates to half of it, so that a tighter tolerance
-keeps points of straight lanes."""
-MAX_POINTS = 4
-"""Pieces have no more points per lane, but for what `MIN_PIECE_M` leaves: every point of every lane
-nearby is looked at several times, and a change of piece costs about as much as three points."""
-MIN_PIECE_M = 8.0
-"""Pieces are no shorter: two vehicle lengths."""
-MARK = "~"
-
-
 @dataclass(frozen=True)
 class RunningNetwork:
-    """How the running network differs from the file.
+    """How the simulated network differs from the file.
 
     Attributes:
         cuts: For each edge that was cut, the shares of its length at which its pieces begin, the
@@ -88,19 +89,19 @@ class RunningNetwork:
 
     @cached_property
     def of_lane(self) -> RunningLanes:
-        """What is known of each running lane, by its id."""
+        """For each simulated lane its lane in the file and its edge in the simulation."""
         return RunningLanes(self.cuts)
 
 
 class RunningLanes(dict[str, tuple[str, str]]):
-    """The lane's id in the file and the running edge, of each running lane that is asked for."""
+    """By the id of a simulated lane: the lane's id in the file, and the simulated edge."""
 
     def __init__(self, cuts: Container[str]) -> None:
         super().__init__()
         self._cuts = cuts
 
     def __missing__(self, lane: str) -> tuple[str, str]:
-        """Work it out once: this is asked for every vehicle in every step."""
+        """Computed once per lane, because it is asked for every vehicle in every step."""
         piece, _, index = lane.rpartition("_")
         edge = piece.rpartition(MARK)[0]
         self[lane] = (f"{edge}_{index}" if edge in self._cuts else lane, piece)
@@ -122,9 +123,9 @@ def write_running_network(path: Path, out: Path) -> RunningNetwork:
                 element.remove(given)
         shape = element.get("shape")
         if shape and element.tag in ("lane", "edge"):
-            words = shape.split()
-            kept = thin(_points(words), TOLERANCE_M)
-            element.set("shape", " ".join(words[k] for k in kept))
+            points = shape.split()
+            kept = thin(_points(points), TOLERANCE_M)
+            element.set("shape", " ".join(points[k] for k in kept))
     cuts: dict[str, tuple[float, ...]] = {}
     whole = set(_edges_to_leave(root))
     for place, edge in reversed(list(enumerate(root))):
@@ -139,7 +140,7 @@ def write_running_network(path: Path, out: Path) -> RunningNetwork:
 
 
 def _edges_to_leave(root: Xml.Element) -> Iterator[str]:
-    """Edges that others refer to in ways that pieces would break."""
+    """Edges that are not cut, because other elements refer to them by name."""
     for edge in root.iter("edge"):
         if edge.get("bidi"):
             yield edge.attrib["id"]
@@ -149,7 +150,7 @@ def _edges_to_leave(root: Xml.Element) -> Iterator[str]:
 
 
 def _begins(edge: Xml.Element) -> tuple[float, ...]:
-    """Where an edge is cut, as shares of its length: after so many points of its densest lane."""
+    """Where an edge is cut, as shares of its length, by the points of its densest lane."""
     lines = [_points(lane.get("shape", "").split()) for lane in edge.iter("lane")]
     arc = _arc(max(lines, key=len)) if lines else np.zeros(1)
     begins, at = [0], MAX_POINTS - 1
@@ -249,5 +250,5 @@ def _arc(line: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.append(0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T)))
 
 
-def _points(words: list[str]) -> NDArray[np.float64]:
-    return np.array([[float(v) for v in word.split(",")[:2]] for word in words])
+def _points(texts: list[str]) -> NDArray[np.float64]:
+    return np.array([[float(v) for v in text.split(",")[:2]] for text in texts])

@@ -1,4 +1,8 @@
-"""What the camera saw, what the twin shows, and the difference, as one picture."""
+"""The camera's image, the twin rendered as the camera would see it, and both their boxes.
+
+`TwinCamera` renders the twin's vehicles and the network's lanes at the camera's calibration;
+`side_by_side` puts the images together and measures how the boxes differ.
+"""
 
 from __future__ import annotations
 
@@ -23,9 +27,16 @@ from geoorbit_ros.scenes.detector_model import View
 from geoorbit_ros.twin.vehicles import TYPES
 
 SEEN, TWIN = (0, 165, 255), (80, 220, 80)
-"""Orange and green, blue-green-red."""
+"""Colours of the boxes, orange and green, as blue, green, red."""
+WIDTH_PX = 640
+"""Of the images. Chosen: three beside each other are as wide as a screen; larger takes longer to
+render."""
+FAR_SIGMA_M = 20.0
+"""Lanes are drawn up to this 1-sigma error of a pixel on the ground: farther than they can be
+measured, as the camera shows them. Chosen: larger draws to the horizon."""
 MIN_OVERLAP = 0.1
-"""Boxes that overlap by less (IoU) are not the same vehicle."""
+"""Boxes with a smaller intersection over union are not the same vehicle. Chosen: larger leaves
+vehicles unmatched whose rendered height differs, smaller matches neighbours."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,8 +57,8 @@ class Difference:
     apart_px: float
 
     @property
-    def words(self) -> str:
-        """In one line."""
+    def sentence(self) -> str:
+        """The difference in one line, without the full stop."""
         both = f"{self.matched} in both"
         if self.matched:
             both += f" (overlap {self.overlap:.2f}, {self.apart_px:.0f} px apart)"
@@ -92,11 +103,11 @@ def side_by_side(
     """The camera's image, the twin's, and both their boxes over one another.
 
     Args:
-        image: The camera's, in any size; None where there is none: its boxes stand for it.
-        seen: (N, 4) boxes in the rendered picture's pixels.
+        image: The camera's, in any size; None: its boxes are shown alone.
+        seen: (N, 4) boxes in the rendered image's pixels.
         rendered: (H, W, 3) of the twin.
         twin: (M, 4) boxes in it.
-        scale: The rendered picture's against the camera's.
+        scale: Size of the rendered image over that of the camera's.
 
     Returns:
         (H, 3 W, 3) and the difference in figures.
@@ -113,7 +124,7 @@ def side_by_side(
     _draw(right, twin, TWIN)
     difference = compare_boxes(seen, twin, scale)
     panels = [left, rendered.copy(), right]
-    for panel, text in zip(panels, ("seen", "twin", difference.words), strict=True):
+    for panel, text in zip(panels, ("seen", "twin", difference.sentence), strict=True):
         write_text(panel, text, (8, 20), 0.45, (255, 255, 255))
     return np.hstack(panels), difference
 
@@ -133,12 +144,6 @@ def _draw(
         cv2.rectangle(image, (left, top), (right, bottom), colour, 1, cv2.LINE_AA)
 
 
-WIDTH_PX = 640
-"""Of the pictures: three beside each other are as wide as a screen."""
-FAR_SIGMA_M = 20.0
-"""Lanes are drawn farther than they can be measured."""
-
-
 class TwinCamera:
     """Renders the twin's vehicles and the network's lanes; made in a second or two.
 
@@ -149,10 +154,10 @@ class TwinCamera:
         datum: Origin of the camera's map frame.
 
     Attributes:
-        scale: Of the rendered pictures against the camera's.
+        scale: Size of the rendered images over that of the camera's.
 
     Raises:
-        GeoOrbitError: The calibration leaves the camera's height open, or it sees no lane.
+        GeoOrbitError: The calibration does not determine the camera's height, or it sees no lane.
     """
 
     def __init__(
@@ -178,13 +183,13 @@ class TwinCamera:
     def render(
         self, rows: NDArray[np.void], datum: Datum, alignment: Alignment | None = None
     ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-        """The picture (H, W, 3), and the boxes (N, 4) of its vehicles; NaN where none shows.
+        """The image (H, W, 3), and the boxes (N, 4) of its vehicles; NaN where none is visible.
 
         Args:
-            rows: `TRACK_DTYPE` of the twin's vehicles (`rows.track_rows`).
+            rows: `TRACK_DTYPE` of the twin's vehicles (`placement.track_rows`).
             datum: Origin of their frame.
-            alignment: What the camera's tracks were moved by, which is undone: what is rendered
-                lies where the camera saw it.
+            alignment: Movement of the camera's tracks, which is undone, so that vehicles are
+                rendered where the camera saw them.
         """
         xy = np.column_stack((rows["x"], rows["y"])).astype(np.float64)
         heading = rows["heading"].astype(np.float64)

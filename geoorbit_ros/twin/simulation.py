@@ -1,4 +1,4 @@
-"""What the twin needs of a simulation: vehicles that are put where they are seen."""
+"""The simulation as the twin uses it: vehicles that are put where they are seen."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class Moves:
         share: (M,) place along the lane, as a share of its length.
         xy: (M, 2) middle of the front bumper.
         angle_deg: (M,) clockwise from north.
-        reach_m: (M,) how far the lane may be away.
-        within: (M,) whether the vehicle is between its lane's borders and ends.
+        reach_m: (M,) largest distance of the lane.
+        within: (M,) whether the vehicle is between the borders and the ends of its lane.
     """
 
     name: Sequence[str]
@@ -68,7 +68,7 @@ class Simulation(Protocol):
         """Let a vehicle leave."""
 
     def move(self, moves: Moves) -> None:
-        """Say where vehicles are at the end of the next step."""
+        """Set where vehicles are at the end of the next step."""
 
     def step(self) -> None:
         """Simulate one step."""

@@ -1,4 +1,4 @@
-"""SUMO as a program of its own, spoken to through TraCI."""
+"""Starts SUMO as a program of its own, with a TraCI connection."""
 
 from __future__ import annotations
 
@@ -18,9 +18,14 @@ class SimulationError(GeoOrbitError):
 
 
 START_RETRIES, RETRY_S = 200, 0.1
+"""Attempts to connect, and seconds between them: 20 s. Chosen: SUMO reads its network before it
+answers; more waits longer for one that never does."""
 CLOSE_TIMEOUT_S = 10.0
+"""A SUMO that has not ended by then is killed. Chosen: larger delays the end of a node, smaller
+cuts off the last files."""
 ANSWER_TIMEOUT_S = 10.0
-"""A step of thousands of vehicles takes a second at most."""
+"""A SUMO that does not answer for this long counts as hung. Chosen: a step of thousands of vehicles
+takes a second at most; larger leaves the twin standing longer."""
 _LEAKED = ("LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")
 """Variables that the ROS wheels set for their own process; no other program may see them."""
 
@@ -36,7 +41,7 @@ def start_program(
         folder: Where its log goes.
 
     Raises:
-        SimulationError: It is not there, refuses its input or does not answer.
+        SimulationError: It is not installed, refuses its input or does not answer.
     """
     import sumolib
 
@@ -54,7 +59,7 @@ def start_program(
     try:
         connection = _connect(port, process, log)
         if not gui:
-            # A SUMO that hangs must not hang who asks it; a window may be paused by its user.
+            # A SUMO that hangs must not block the node; a window may be paused by its user.
             connection._socket.settimeout(ANSWER_TIMEOUT_S)  # noqa: SLF001, traci has no other way
         return process, connection
     except BaseException:
@@ -64,10 +69,10 @@ def start_program(
 
 
 def program_path(program: str) -> str:
-    """Where one of SUMO's programs is.
+    """Path of one of SUMO's programs.
 
     Raises:
-        SimulationError: Nowhere.
+        SimulationError: It is not installed.
     """
     import sumolib
 
@@ -78,7 +83,7 @@ def program_path(program: str) -> str:
 
 
 def program_environment() -> dict[str, str]:
-    """This process's environment without what only this process may see."""
+    """This process's environment without the variables of `_LEAKED`."""
     return {key: value for key, value in os.environ.items() if key not in _LEAKED}
 
 
@@ -109,12 +114,12 @@ def _connect(port: int, process: subprocess.Popen[bytes], log: Path) -> Any:
     raise SimulationError("SUMO", found, "a simulation")
 
 
-def exit_words(code: int) -> str:
+def exit_text(code: int) -> str:
     """How a process ended."""
     return f"signal {-code}" if code < 0 else f"exit status {code}"
 
 
 def first_line(error: BaseException) -> str:
-    """What an error says, in one line."""
+    """The first line of an error, at most 300 characters."""
     lines = str(error).strip().splitlines()
     return lines[0][:300] if lines else type(error).__name__

@@ -1,7 +1,7 @@
-"""SUMO as the twin needs it: vehicles that are put where they are seen.
+"""A SUMO simulation whose vehicles are put where they are seen (`moveToXY`).
 
-In process (libsumo, one simulation per process) or as a program of its own (TraCI, with a window
-when asked for). Both speak the same Python interface, so that one class drives either.
+SUMO runs in this process (libsumo, one simulation per process) or as a program of its own (TraCI,
+with a window if wanted). Both have the same Python interface, which one class uses.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from geoorbit_ros.twin.simulation import Moves, States
 from geoorbit_ros.twin.sumo_process import (
     CLOSE_TIMEOUT_S,
     SimulationError,
-    exit_words,
+    exit_text,
     first_line,
     start_program,
 )
@@ -32,13 +32,14 @@ from geoorbit_ros.twin.vehicles import write_types
 
 Backend = Literal["libsumo", "traci"]
 _BESIDE_ROAD = 6
-"""`keepRoute` of moveToXY: leave the route and the road (2), on lanes closed to the class (4)."""
+"""`keepRoute` of moveToXY (SUMO's TraCI documentation, sum of flags): the vehicle may leave route
+and road (2), also to lanes closed to its class (4)."""
 _NAMED_LANE = 4
-"""On the road: the lane that is named counts, up to 2 m beside its middle; with (2) it would count
-only half its width to either side."""
+"""On the road: the named lane counts up to 2 m beside its middle; with (2) it would count only half
+its width to either side."""
 _SAME_EDGE = 5
-"""The same on the route (1), which is the edge the vehicle was last put on: no other is looked at,
-which takes half the time, and the lane that is named counts however far it is."""
+"""The same on the route (1), the edge that the vehicle was last put on. SUMO looks at that edge
+alone, which takes half the time, and the named lane counts however far it is."""
 _ARRIVED = 2
 """Reason of removal: the vehicle reached its destination (traci.constants.REMOVE_ARRIVED)."""
 
@@ -60,7 +61,7 @@ def backend_of(name: str, gui: bool) -> Backend:
 
 
 class _Calls(NamedTuple):
-    """What is called once for every vehicle in every step."""
+    """Functions that are called once for every vehicle in every step."""
 
     move: Callable[..., object]
     position: Callable[[str], tuple[float, float]]
@@ -69,7 +70,7 @@ class _Calls(NamedTuple):
 
 
 def _direct_calls(vehicle: Any, *, in_process: bool) -> _Calls:
-    """In process without libsumo's Python wrappers, which take a tenth of the time of a step."""
+    """In process, without libsumo's Python wrappers, which take a tenth of a step's time."""
     if not in_process:
         return _Calls(vehicle.moveToXY, vehicle.getPosition, vehicle.getAngle, vehicle.getLaneID)
     from libsumo import _libsumo as direct
@@ -94,10 +95,10 @@ class SumoSimulation:
 
     Attributes:
         pid: Process id of the program; None in process.
-        running: How the simulated network's edges are called.
+        running: Names of the simulated network's edges.
 
     Raises:
-        SimulationError: SUMO is not there, refuses the network, or a second one in this process.
+        SimulationError: SUMO is missing, refuses the network, or runs in this process already.
         RoadNetworkError: The network file can't be read.
     """
 
@@ -142,13 +143,13 @@ class SumoSimulation:
 
     @property
     def sumo(self) -> Any:
-        """SUMO's own Python interface (libsumo, or a TraCI connection), for what is not here."""
+        """SUMO's own Python interface (libsumo, or a TraCI connection), for everything else."""
         return self._sumo
 
     def add(self, name: str, type_name: str, length_m: float, width_m: float) -> None:
         """Let a vehicle enter; it appears where the next `move` puts it."""
         with self._watched():
-            # No route: SUMO makes one of the edge that the vehicle is put on.
+            # Without route: SUMO makes one of the edge that the vehicle is put on.
             self._vehicle.add(name, "", type_name, depart="now")
             self._vehicle.setSpeedMode(name, 0)
             self._vehicle.setLaneChangeMode(name, 0)
@@ -170,7 +171,7 @@ class SumoSimulation:
         self._inside.discard(name)
 
     def move(self, moves: Moves) -> None:
-        """Say where vehicles are at the end of the next step."""
+        """Set where vehicles are at the end of the next step."""
         pieces = list(map(self.running.piece, moves.edge, moves.share.tolist()))
         self._begin_routes(moves, pieces)
         stays = [
@@ -195,7 +196,7 @@ class SumoSimulation:
             deque(calls, maxlen=0)  # one call after the other, with nothing kept
 
     def _begin_routes(self, moves: Moves, pieces: list[str]) -> None:
-        """Vehicles that enter get their edge as route: on it alone any lane named is theirs."""
+        """Give entering vehicles their edge as route: the named lane counts (`_SAME_EDGE`)."""
         for k, name in enumerate(moves.name):
             if name not in self._piece_of and moves.within[k] and pieces[k][:1] not in ("", ":"):
                 with self._watched():
@@ -212,7 +213,7 @@ class SumoSimulation:
         v = self._vehicle
         with self._watched():
             known = names
-            # The count tells at once whether all that entered are there still.
+            # Where the count is right, all vehicles that entered are still there.
             if v.getIDCount() != len(self._inside) or not self._inside.issuperset(names):
                 there = set(v.getIDList())
                 known = [name for name in names if name in there]
@@ -232,7 +233,7 @@ class SumoSimulation:
     def set_scenario(self, scenario: Scenario) -> None:
         """Close these lanes and set these limits, and undo what was changed before.
 
-        The vehicles that are tracked go on where they are seen, closed or not.
+        Tracked vehicles stay where they are seen, also on closed lanes.
         """
         lanes: Any = self.sumo.lane
         with self._watched():
@@ -253,7 +254,7 @@ class SumoSimulation:
         """End the simulation; a program that does not end is killed."""
         global _running_in_process
         if self._sumo is not None:
-            with suppress(Exception):  # it may be gone already, which is what is wanted
+            with suppress(Exception):  # it may have ended already
                 self._sumo.close(*(() if self._in_process else (False,)))
             self._sumo = None
             if self._in_process:
@@ -304,7 +305,7 @@ class SumoSimulation:
         with suppress(subprocess.TimeoutExpired):
             process.wait(0.5)
         if process.returncode is not None:
-            found = f"its process ended with {exit_words(process.returncode)}"
+            found = f"its process ended with {exit_text(process.returncode)}"
             raise SimulationError("SUMO", found, "a running simulation") from error
         if not isinstance(error, self._fatal[0]):
             # The connection failed, the program did not: it did not answer in time.
@@ -324,6 +325,6 @@ _OPTIONS = (
     "--max-depart-delay=-1",
     # Vehicles are where they are put, not in the middle of their lanes.
     "--lateral-resolution=0",
-    # SUMO's drivers have nothing to decide while vehicles are put in every step: half the cost.
+    # SUMO's drivers decide nothing, as vehicles are put in every step: half the cost.
     "--default.action-step-length=10",
 )

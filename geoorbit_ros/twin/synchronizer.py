@@ -1,7 +1,7 @@
 """Keeps a simulation in step with the tracks of all cameras.
 
-Time is that of the tracks alone: a step is simulated as soon as every camera has a frame that is
-not older, or is `MAX_WAIT_S` behind the others. The same frames give the same twin at any rate.
+Time is that of the tracks: a step is simulated as soon as every camera has a frame that is not
+older, or is `MAX_WAIT_S` behind the others. The same frames give the same twin at any speed.
 """
 
 from __future__ import annotations
@@ -26,13 +26,17 @@ from geoorbit_ros.twin.simulation import Simulation
 from geoorbit_ros.twin.vehicles import Vehicles
 
 MAX_WAIT_S = 0.2
-"""A camera that is more behind the newest one is not waited for: two frames at 10 Hz."""
+"""A camera that is farther behind the newest one is not waited for. Chosen: two frames at 10 Hz;
+larger delays the twin, smaller guesses positions of slow cameras."""
 MIN_SPEED_MPS = 0.2
-"""Slower, a vehicle's velocity has no direction worth following."""
+"""Slower vehicles that no camera sees keep their position. Chosen: below, the velocity is noise;
+larger stops vehicles that creep."""
 LANE_TURN_RAD = np.radians(4.0)
-"""A lane's own direction is known to this, being drawn in straight pieces."""
+"""A vehicle's heading may differ from its lane's by this more. Chosen: lanes are drawn in straight
+pieces; larger turns fronts into the next lane."""
 MAX_GAP_S = 30.0
-"""After a longer silence of all cameras time jumps; before, the vehicles have left."""
+"""After a longer pause of all cameras, time jumps instead of being simulated step by step. Chosen:
+by then all vehicles have left."""
 
 
 class Synchronizer:
@@ -48,8 +52,8 @@ class Synchronizer:
 
     Attributes:
         vehicles: The vehicles.
-        fusion: Which track is which vehicle.
-        placement: What keeps the simulation's vehicles where the tracks say.
+        fusion: Assigns tracks to vehicles.
+        placement: Puts SUMO's vehicles where the tracks say.
         steps: Simulated so far.
     """
 
@@ -74,7 +78,7 @@ class Synchronizer:
         self.steps = 0
 
     def set_datum(self, camera: str, datum: Datum) -> None:
-        """Where a camera's map frame lies; without it, where the network's does."""
+        """Set the origin of a camera's map frame; without it, that of the network is used."""
         self._cameras[camera].set_datum(datum)
 
     def set_alignment(self, camera: str, alignment: Alignment) -> None:
@@ -82,7 +86,7 @@ class Synchronizer:
         self._cameras[camera].alignment = alignment
 
     def follow(self, driven: DrivenNetwork) -> None:
-        """Count vehicles to the lanes where those are driven, from the next step on."""
+        """Use the lanes where they are driven, from the next step on."""
         self._network = driven.network
         self._matcher.follow(driven)
         self.placement.follow(driven)
@@ -92,7 +96,7 @@ class Synchronizer:
         self.placement.replace(simulation)
 
     def restart(self, camera: str) -> None:
-        """A camera's stream begins anew, at an earlier time."""
+        """A camera's stream starts again, at an earlier time."""
         self._cameras[camera].reset()
         self.fusion.forget_tracks(self._order[camera])
         if all(c.newest_ns is None for c in self._cameras.values()):
@@ -103,7 +107,7 @@ class Synchronizer:
         """Take a frame of `TRACK_DTYPE` rows and simulate what can be.
 
         Raises:
-            SimulationError: The simulation is gone; what `replace_simulation` gets goes on here.
+            SimulationError: The simulation is gone; continue after `replace_simulation`.
         """
         self._cameras[camera].add(stamp_ns, rows)
         if self._now_ns is None:
@@ -112,7 +116,7 @@ class Synchronizer:
         self._advance()
 
     def finish(self) -> None:
-        """Simulate what can be with the frames there are: no more will come."""
+        """Simulate the rest: no more frames will come."""
         self._advance(wait=False)
 
     def _advance(self, wait: bool = True) -> None:
@@ -143,7 +147,7 @@ class Synchronizer:
         )
         table["lane"][slots], table["arc"][slots] = found.lane, found.arc_m
         table["offset"][slots], table["within"][slots] = found.offset_m, found.within
-        # Until a vehicle has moved, it stands as its lane runs.
+        # Until a vehicle has moved, it points along its lane.
         blind = np.isnan(table["heading"][slots])
         table["heading"][slots[blind]] = np.nan_to_num(found.heading_rad[blind])
         table["course"][slots] = plausible_course(
@@ -182,12 +186,12 @@ def plausible_course(
     speed_mps: NDArray[np.float64],
     lane_heading_rad: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Headings (M,) as far as a vehicle can drive them, at its speed, in a lane.
+    """Headings (M,), limited to what a vehicle can drive at its speed in its lane.
 
-    A track's heading starts with the noise of its first few positions. Turned by it, the front of a
-    vehicle at speed would stick out into the next lane, and SUMO would put it there. Nobody moves
-    across lanes faster than `MAX_ACROSS_MPS`, which bounds the angle to the lane; nothing is
-    bounded beside the network (NaN).
+    The heading of a new track is noise. The front of a fast vehicle that is turned by it would
+    reach into the next lane, and SUMO would count the vehicle there. Vehicles move across lanes no
+    faster than `MAX_ACROSS_MPS`, which limits the angle to the lane; beside the network (NaN) there
+    is no limit.
     """
     share = MAX_ACROSS_MPS / np.maximum(speed_mps, MAX_ACROSS_MPS)
     bound = np.where(share < 1.0, np.arcsin(share) + LANE_TURN_RAD, np.pi)

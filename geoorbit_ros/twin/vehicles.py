@@ -1,4 +1,4 @@
-"""The vehicles of the twin, as arrays with one slot per vehicle."""
+"""The vehicles of the twin: their SUMO types, and a table with one slot per vehicle."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from geoorbit_ros.roadnet.network import NO_LANE
 
 @dataclass(frozen=True, slots=True)
 class TwinVehicleType:
-    """How SUMO imagines vehicles of a class: name, SUMO's vClass and shape, size in metres."""
+    """SUMO's `vType` for vehicles of a COCO class: `vClass`, `guiShape`, size in metres."""
 
     name: str
     vclass: str
@@ -26,20 +26,22 @@ class TwinVehicleType:
 
 
 TYPES: tuple[TwinVehicleType, ...] = (
-    # Sizes: AASHTO design vehicles and typical fleets; a track's own size goes before them.
     TwinVehicleType("car", "passenger", "passenger", 4.7, 1.85, 1.5, 2),
     TwinVehicleType("motorcycle", "motorcycle", "motorcycle", 2.2, 0.8, 1.5, 3),
     TwinVehicleType("bus", "bus", "bus", 12.0, 2.55, 3.2, 5),
     TwinVehicleType("truck", "truck", "truck", 9.0, 2.5, 3.4, 7),
     TwinVehicleType("bicycle", "bicycle", "bicycle", 1.8, 0.6, 1.6, 1),
 )
+"""Sizes: AASHTO design vehicles, rounded to common ones; a track's own size is preferred."""
 CAR = 0
-LENGTH_BOUNDS_M = (1.5, 25.0)
-WIDTH_BOUNDS_M = (0.5, 3.0)
+"""Number of the type of objects that are no vehicles."""
+LENGTH_BOUNDS_M, WIDTH_BOUNDS_M = (1.5, 25.0), (0.5, 3.0)
+"""Tracked sizes outside are replaced by the type's. Chosen: from a bicycle to a lorry with trailer;
+wider passes on boxes of two vehicles."""
 
 
 def type_of_class(class_id: NDArray[np.int32]) -> NDArray[np.int64]:
-    """(M,) number in `TYPES` of COCO classes; what is no vehicle counts as a car."""
+    """(M,) number in `TYPES` of COCO classes; other classes count as cars."""
     number = np.full(256, CAR)
     for k, kind in enumerate(TYPES):
         number[kind.coco_class] = k
@@ -47,7 +49,7 @@ def type_of_class(class_id: NDArray[np.int32]) -> NDArray[np.int64]:
 
 
 def write_types(path: Path) -> None:
-    """SUMO's `additional` file with all types."""
+    """Write SUMO's `additional` file with all types."""
     root = Xml.Element("additional")
     for kind in TYPES:
         add_type(root, kind.name, kind)
@@ -55,7 +57,7 @@ def write_types(path: Path) -> None:
 
 
 def add_type(root: Xml.Element, name: str, kind: TwinVehicleType, **values: str) -> None:
-    """One `vType` of a class; `values` go before its own."""
+    """Add a `vType`; `values` replace or extend its attributes."""
     Xml.SubElement(
         root,
         "vType",
@@ -66,7 +68,7 @@ def add_type(root: Xml.Element, name: str, kind: TwinVehicleType, **values: str)
             "length": f"{kind.length_m:g}",
             "width": f"{kind.width_m:g}",
             "height": f"{kind.height_m:g}",
-            # The twin follows the road, whatever the driver does.
+            # 252 km/h: vehicles are moved by their tracks, never slowed by their type.
             "maxSpeed": "70",
             **values,
         },
@@ -104,22 +106,23 @@ VEHICLE_DTYPE = np.dtype(
         ("active", "?"),
     ]
 )
-"""State of a vehicle: middle of its footprint in the map frame; `heading` as tracked and
-`course` as driven (`synchronizer.plausible_course`); `kind` numbers `TYPES`;
-`observed`: a track has it in this step, and `predicted`: but only as a prediction; `cameras`: how
-many see it; `possible_mps`: the least speed it can have by braking, `slow_s`: how long it has been
-far below, and `anchor…`: where and since when it has been within a few metres (`ghosts`);
-`within`: between the borders of its lane; `entered`: whether it is in the simulation, and `sim_…`
-what it is there."""
+"""State of a vehicle. `xy` is the middle of its footprint in the map frame, `heading` as tracked,
+`course` as driven (`synchronizer.plausible_course`); `kind` is a number in `TYPES`; `observed`: a
+track has it in this step, `predicted`: only as a prediction; `cameras`: how many see it;
+`possible_mps`: the least speed that braking allows, `slow_s`: how long it has been far below,
+`anchor…`: where and since when it stands (`false_tracks`); `within`: between the borders of its
+lane; `entered`: whether SUMO has it, `sim_…`: its type and size there."""
 
 _MEMORY = 0.98
-"""A class vote fades to half in 3.4 s of steps at 10 Hz."""
+"""Weight that class votes keep from step to step: half is left after 3.4 s at 10 Hz. Chosen: larger
+corrects a wrong class later, smaller changes types with every few boxes."""
 _LEAD = 4.0
-"""Votes by which another class must lead, so that single wrong classes change nothing."""
+"""Votes by which another class must lead to replace the type. Chosen: larger corrects a wrong type
+later, smaller lets single wrong boxes change it."""
 
 
 class Vehicles:
-    """All vehicles; slots are used again, vehicle ids never.
+    """All vehicles of the twin; slots are used again, vehicle ids never.
 
     Attributes:
         table: (S,) `VEHICLE_DTYPE`, S slots.
@@ -152,11 +155,11 @@ class Vehicles:
         return slot
 
     def leave(self, slot: NDArray[np.int64]) -> None:
-        """Free slots."""
+        """Free these slots."""
         self.table["active"][slot] = False
 
     def vote(self, slot: NDArray[np.int64], kind: NDArray[np.int64]) -> None:
-        """One vote for the type of each vehicle; the leading type becomes its type.
+        """Add one vote for the type of each vehicle; the leading type becomes its type.
 
         Args:
             slot: (M,) vehicles, which may repeat.
@@ -174,7 +177,7 @@ class Vehicles:
 def usual_size(
     kind: NDArray[np.int64], length: NDArray[np.float64], width: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Length and width (M,) as tracked where that is possible for a vehicle, else of the type."""
+    """Length and width (M,) as tracked, or of the type where those are impossible."""
     usual = np.array([(k.length_m, k.width_m) for k in TYPES])[kind]
     long = (length >= LENGTH_BOUNDS_M[0]) & (length <= LENGTH_BOUNDS_M[1])
     wide = (width >= WIDTH_BOUNDS_M[0]) & (width <= WIDTH_BOUNDS_M[1])

@@ -283,6 +283,6 @@ def routes(
             raise NoTrafficError(str(net), found, "a longer recording")
     say(
         f"{count_of(counts.written, 'vehicle')} in the routes; left out: {counts.too_short} seen "
-        f"for less than 20 m, {counts.no_way} on edges without a way between them."
+        f"for less than 20 m, {counts.no_route} on edges without a route between them."
     )
     console.print(f" Wrote {out}", soft_wrap=True)

@@ -72,7 +72,7 @@ def save_side_by_side(
     )
     cv2.imwrite(str(folder / f"side_by_side_{stream.camera}.png"), shown)
     after_s = (step.stamp_ns - int(stamps[0])) / 1e9
-    return f"{stream.camera} after {after_s:.1f} s, boxes seen and rendered: {difference.words}."
+    return f"{stream.camera} after {after_s:.1f} s, boxes seen and rendered: {difference.sentence}."
 
 
 def _image_at(video: Path, after_ns: int) -> NDArray[np.uint8] | None:

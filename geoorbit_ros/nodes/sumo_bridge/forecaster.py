@@ -64,7 +64,7 @@ class Forecaster:
 
     def diagnostic_values(self) -> dict[str, object]:
         """For diagnostics."""
-        return {"scenario": self.scenario.words(), "forecasts": self.done}
+        return {"scenario": self.scenario.describe(), "forecasts": self.done}
 
     def changed(self, p: ScenarioParameters) -> Scenario:
         """What parameters say, published, and what the next forecasts compare the road with.

@@ -85,7 +85,7 @@ class TwinPublisher:
         if self.tracks.get_subscription_count():
             self.tracks.publish(encode_table(step.stamp_ns, self._frame_id, rows))
         self._window.add(step)
-        self._window.took(time.perf_counter() - self.arrived_s)
+        self._window.add_latency(time.perf_counter() - self.arrived_s)
         if self._since_ns < 0 or step.stamp_ns < self._since_ns:
             self._since_ns = step.stamp_ns
         if step.stamp_ns - self._since_ns >= self._period_ns:

@@ -1,1 +1,1 @@
-"""The vehicles of the twin in a CARLA server."""
+"""Shows the vehicles of the twin in a CARLA server."""

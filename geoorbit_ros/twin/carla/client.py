@@ -23,6 +23,7 @@ class CarlaError(GeoOrbitError):
 BASE_TYPES = {2: ("car",), 3: ("motorcycle",), 5: ("bus", "van"), 7: ("truck", "van")}
 """Attribute `base_type` of CARLA's vehicles by COCO class; bicycles are `bicycle`."""
 BICYCLE = 1
+"""COCO class."""
 OnImage = Callable[[str, float, NDArray[np.uint8]], None]
 
 
@@ -49,12 +50,12 @@ def transform(carla: Any, pose: CarlaPose) -> Any:
 
 
 def pixels_of(raw: bytes, width: int, height: int) -> NDArray[np.uint8]:
-    """(H, W, 3) blue, green, red of a `carla.Image`'s raw data, which has alpha besides."""
+    """(H, W, 3) blue, green, red of a `carla.Image`'s raw data, without its alpha channel."""
     return np.frombuffer(raw, np.uint8).reshape(height, width, 4)[:, :, :3].copy()
 
 
 class CarlaClient:
-    """Loads a road into a server and drives its actors, in steps of its own.
+    """Loads a road into a server and moves its actors, one server frame per step.
 
     Args:
         host: Where the server runs.
@@ -99,7 +100,7 @@ class CarlaClient:
             self._blueprints = self._world.get_blueprint_library()
 
     def spawn(self, class_id: int, length_m: float, pose: CarlaPose) -> int | None:
-        """A vehicle that is moved by hand; None where there is no room for it."""
+        """Add a vehicle that only `move` moves; None where there is no room for it."""
         with self._watched():
             blueprint = self._vehicle(class_id)
             actor = self._world.try_spawn_actor(blueprint, transform(self._carla, pose))
@@ -109,7 +110,7 @@ class CarlaClient:
             return int(actor.id)
 
     def move(self, poses: Mapping[int, CarlaPose]) -> None:
-        """Put actors in their places, all at once."""
+        """Set the poses of actors, all at once."""
         command = self._carla.command.ApplyTransform
         with self._watched():
             self._client.apply_batch_sync(
@@ -117,21 +118,21 @@ class CarlaClient:
             )
 
     def destroy(self, actors: Sequence[int]) -> None:
-        """Take actors away."""
+        """Remove actors."""
         with self._watched():
             self._client.apply_batch_sync(
                 [self._carla.command.DestroyActor(actor) for actor in actors]
             )
 
     def tick(self) -> None:
-        """One frame."""
+        """Simulate one frame."""
         with self._watched():
             self._world.tick()
 
     def add_camera(self, camera: CarlaCamera, on_image: OnImage) -> None:
-        """A roadside camera; `on_image` gets its name, the server's time and every picture.
+        """Add a roadside camera.
 
-        It is called in a thread of the client.
+        `on_image` gets its name, the server's time and every image, in a thread of the client.
         """
         with self._watched():
             blueprint = self._blueprints.find("sensor.camera.rgb")
@@ -152,7 +153,7 @@ class CarlaClient:
             self._sensors.append(sensor)
 
     def close(self) -> None:
-        """Take the cameras away and let the server run by itself again."""
+        """Remove the cameras and let the server run on its own clock again."""
         with self._watched():
             for sensor in self._sensors:
                 sensor.stop()
@@ -188,16 +189,16 @@ class CarlaServer(Protocol):
     """What `CarlaVehicles` needs of a server. All methods raise CarlaError when it is gone."""
 
     def spawn(self, class_id: int, length_m: float, pose: CarlaPose) -> int | None:
-        """A vehicle that is moved by hand; None where there is no room for it."""
+        """Add a vehicle that only `move` moves; None where there is no room for it."""
 
     def move(self, poses: Mapping[int, CarlaPose]) -> None:
-        """Put actors in their places, all at once."""
+        """Set the poses of actors, all at once."""
 
     def destroy(self, actors: Sequence[int]) -> None:
-        """Take actors away."""
+        """Remove actors."""
 
     def tick(self) -> None:
-        """One frame."""
+        """Simulate one frame."""
 
 
 class CarlaVehicles:
@@ -208,7 +209,7 @@ class CarlaVehicles:
 
     Attributes:
         actors: Actor by vehicle id.
-        refused: Times that there was no room for a vehicle; it is tried again with every step.
+        refused: How often there was no room for a vehicle; each is tried again with every step.
     """
 
     def __init__(self, server: CarlaServer) -> None:
@@ -244,6 +245,6 @@ class CarlaVehicles:
         self._server.tick()
 
     def close(self) -> None:
-        """Take all vehicles away."""
+        """Remove all vehicles."""
         self._server.destroy(list(self.actors.values()))
         self.actors.clear()

@@ -1,7 +1,7 @@
-"""Between the map frame (east, north, up; REP-103) and CARLA's world (x east, y south, z up).
+"""Converts poses from the map frame (east, north, up; REP-103) to CARLA's (x east, y south, z up).
 
-CARLA's axes are left-handed: y and with it every turn about z are mirrored (Rotation: yaw clockwise
-seen from above, pitch up, roll clockwise seen from behind; degrees).
+CARLA's axes are left-handed: yaw is clockwise seen from above, pitch up, roll clockwise seen from
+behind; in degrees.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class CarlaPose:
 
 @dataclass(frozen=True, slots=True)
 class CarlaCamera:
-    """A camera as CARLA makes it: pose, picture, horizontal field of view."""
+    """A camera in CARLA's terms: pose, size of its images, horizontal field of view."""
 
     name: str
     pose: CarlaPose
@@ -43,7 +43,7 @@ class CarlaCamera:
 
 
 def read_opendrive(path: str | Path) -> tuple[str, Datum]:
-    """An OpenDRIVE road, and where on earth its origin is.
+    """Read an OpenDRIVE road and its datum.
 
     Raises:
         RoadNetworkError: No such file, no OpenDRIVE, or no `+proj=tmerc` georeference.
@@ -68,7 +68,7 @@ def read_opendrive(path: str | Path) -> tuple[str, Datum]:
 
 
 def vehicle_pose(x_m: float, y_m: float, heading_rad: float) -> CarlaPose:
-    """A vehicle on the road by the middle of its footprint."""
+    """Pose of a vehicle by the middle of its footprint."""
     return CarlaPose(x_m, -y_m, 0.0, 0.0, -math.degrees(heading_rad), 0.0)
 
 
@@ -78,7 +78,7 @@ def camera_pose(
     image_size: tuple[int, int],
     origin_m: NDArray[np.float64],
 ) -> CarlaCamera:
-    """A roadside camera by its calibration.
+    """Pose and field of view of a roadside camera by its calibration.
 
     Args:
         name: The camera's.

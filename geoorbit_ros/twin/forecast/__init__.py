@@ -1,1 +1,1 @@
-"""The traffic of the next minutes, simulated ahead from what the twin saw."""
+"""Simulates the traffic of the next minutes, starting from what the twin saw."""

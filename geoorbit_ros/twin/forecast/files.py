@@ -1,4 +1,4 @@
-"""What plain `sumo` gets to run ahead from the twin's present: network, vehicles, measurements."""
+"""Writes SUMO's input files of a forecast: network, vehicles, measurements."""
 
 from __future__ import annotations
 
@@ -17,8 +17,11 @@ from geoorbit_ros.twin.scenario import Scenario
 from geoorbit_ros.twin.vehicles import TYPES, add_type
 
 STEP_S = 0.5
-"""SUMO's drivers are made for steps up to their reaction time of 1 s; half of it is its usual."""
+"""Length of a step. SUMO's drivers are made for steps up to their reaction time of 1 s (`tau`, SUMO
+user documentation). Chosen: half of it; smaller takes longer, larger brakes late."""
 QUEUE_PERIOD_S = 10.0
+"""Between two measurements of queues. Chosen: shorter makes files larger, longer misses short
+queues."""
 LANES, QUEUES, CONFIG = "lanes.xml", "queues.xml", "forecast.sumocfg"
 
 
@@ -27,8 +30,8 @@ class ForecastStart:
     """Where a forecast begins.
 
     Attributes:
-        step: The twin's present.
-        demand: What goes on arriving.
+        step: The twin's last step.
+        demand: Traffic that goes on arriving.
         horizon_s: How far ahead.
         seed: Of the arrivals and of SUMO's drivers.
     """
@@ -44,16 +47,16 @@ def write_forecast(
 ) -> Path:
     """Write all files of one forecast; the path of SUMO's configuration.
 
-    The vehicles of now go on from where they are, over ways drawn from the turns that were seen.
-    New ones arrive at random times (exponential headways) at the flows that were seen, the same in
-    every scenario.
+    The vehicles of the step go on from where they are, over routes drawn from the turns seen.
+    New ones arrive at random times (exponential headways) with the flows seen, the same in every
+    scenario.
     """
     folder.mkdir(parents=True, exist_ok=True)
     _write_network(network.path, folder / "forecast.net.xml", scenario)
     additional = Xml.Element("additional")
     for kind in TYPES:
         add_type(additional, kind.name, kind)
-    # No edge is left out: a lane without vehicles is an answer, too.
+    # Lanes without vehicles are listed, too.
     measured = {"id": "all", "file": LANES, "excludeEmpty": "false", "withInternal": "0"}
     Xml.SubElement(additional, "laneData", measured | {"begin": "0", "end": f"{start.horizon_s:g}"})
     _save(additional, folder / "forecast.add.xml")
@@ -96,7 +99,7 @@ def _write_network(path: Path, out: Path, scenario: Scenario) -> None:
 
 def _routes(network: RoadNetwork, start: ForecastStart) -> Xml.Element:
     root, random = Xml.Element("routes"), np.random.default_rng(start.seed)
-    ways, demand = _DrawnWays(network, start.demand, random), start.demand
+    draw, demand = _RouteDraw(network, start.demand, random), start.demand
     step = start.step
     speed = np.hypot(*step.velocity.T)
     there = (step.lane != NO_LANE) & np.isfinite(step.xy[:, 0])
@@ -106,32 +109,32 @@ def _routes(network: RoadNetwork, start: ForecastStart) -> Xml.Element:
         position = min(max(front, 0.1), float(network.length_m[lane]) - 0.1)
         _vehicle(
             root,
-            ways.onwards(network.edge_id[lane]),
+            draw.onwards(network.edge_id[lane]),
             id=f"v{step.vehicle_id[k]}",
             type=TYPES[step.kind[k]].name,
             depart="0",
             departLane=str(network.index[lane]),
             departPos=f"{position:.2f}",
             departSpeed=f"{speed[k]:.2f}",
-            speedFactor=f"{ways.driver()[1]:.3f}",
+            speedFactor=f"{draw.driver()[1]:.3f}",
             insertionChecks="none",
         )
     arrivals: list[tuple[float, str]] = []
     for edge, flow in sorted(demand.flow_per_h.items()):
-        # More than will come, but for a chance in millions.
+        # More than will arrive, except with a chance of one in millions.
         expected = flow * start.horizon_s / 3600.0
         gaps = random.exponential(1.0, int(expected + 6.0 * np.sqrt(expected) + 10))
         times = np.cumsum(gaps) * 3600.0 / max(flow, 1e-9)
         arrivals += [(time, edge) for time in times.tolist() if time < start.horizon_s]
     for number, (time, edge) in enumerate(sorted(arrivals)):
-        kind, factor = ways.driver()
+        kind, factor = draw.driver()
         _vehicle(
             root,
-            ways.onwards(edge),
+            draw.onwards(edge),
             id=f"new{number}",
             type=TYPES[kind].name,
             depart=f"{time:.2f}",
-            departLane="random",  # of those open; who must leave it does so where it ends
+            departLane="random",  # of the open ones; drivers leave it in time
             departSpeed="max",
             speedFactor=f"{factor:.3f}",
         )
@@ -142,29 +145,29 @@ def _vehicle(root: Xml.Element, edges: list[str], **values: str) -> None:
     Xml.SubElement(Xml.SubElement(root, "vehicle", values), "route", edges=" ".join(edges))
 
 
-class _DrawnWays:
-    """Ways by the turns that were seen, and drivers by those that were."""
+class _RouteDraw:
+    """Draws routes by the turns that were seen, and drivers among those that were seen."""
 
     def __init__(self, network: RoadNetwork, demand: Demand, random: np.random.Generator) -> None:
-        self._ways, self._demand, self._random = RouteFinder(network), demand, random
+        self._finder, self._demand, self._random = RouteFinder(network), demand, random
 
     def onwards(self, edge: str) -> list[str]:
         """An edge and those after it, by the turns that were seen.
 
-        Where nobody was seen to go on, traffic parts as the lanes do, up to the network's end.
+        Where no vehicle was seen to go on, traffic parts as the lanes do, up to the network's end.
         """
-        way = [edge]
-        while len(way) < MAX_EDGES:
-            turns = self._demand.turns.get(way[-1]) or self._ways.branches(way[-1])
-            targets = [target for target in turns if target not in way]
+        route = [edge]
+        while len(route) < MAX_EDGES:
+            turns = self._demand.turns.get(route[-1]) or self._finder.branches(route[-1])
+            targets = [target for target in turns if target not in route]
             if not targets:
                 break
             counts = np.array([turns[target] for target in targets], dtype=np.float64)
-            way.append(targets[int(self._random.choice(len(targets), p=counts / counts.sum()))])
-        return way
+            route.append(targets[int(self._random.choice(len(targets), p=counts / counts.sum()))])
+        return route
 
     def driver(self) -> tuple[int, float]:
-        """Type and speed factor of a vehicle that was seen."""
+        """Type and speed factor of one of the vehicles that were seen."""
         k = int(self._random.integers(len(self._demand.kinds)))
         return int(self._demand.kinds[k]), float(self._demand.factors[k])
 

@@ -1,8 +1,8 @@
-"""What the twin saw in the last minutes, as the demand that a forecast continues.
+"""Demand for a forecast from what the twin saw in the last minutes.
 
-Flows are Edie's: distance driven in a stretch of road, over its length and the time. A vehicle
-whose track breaks counts once, because its parts together drive the same distance (L. C. Edie 1963,
-"Discussion of traffic stream measurements and definitions").
+A flow is the distance driven in a stretch of road, over its length and the time (L. C. Edie 1963,
+"Discussion of traffic stream measurements and definitions"). A vehicle whose track breaks counts
+once, because its parts together drive the same distance.
 """
 
 from __future__ import annotations
@@ -21,14 +21,27 @@ from geoorbit_ros.twin.placement import TwinStep
 from geoorbit_ros.twin.vehicles import TYPES
 
 SAMPLE_NS = 500_000_000
+"""Time between two samples. Chosen: more often costs memory, more seldom misses vehicles in short
+stretches."""
 STRETCH_M, MIN_LENGTH_M = 60.0, 20.0
-"""Some samples of every vehicle lie in such a stretch; shorter ones tell by chance."""
+"""Length of the stretches in which flow is measured, and the least where less is seen. Chosen:
+every vehicle leaves some samples in such a stretch; longer ones average over parts that are seen
+badly."""
 MIN_TIME_S = 10.0
+"""A forecast needs this much observed traffic. Chosen: less gives flows of single vehicles, more
+makes users wait."""
 MOVING_MPS = 2.0
-"""Slower, a vehicle says nothing about how fast its driver likes to drive."""
+"""Only faster vehicles count for the drivers' speeds. Chosen: slower ones stand or queue."""
 FACTOR_BOUNDS = (0.3, 2.0)
+"""Of speed over limit. Chosen: slower is a queue, faster a wrong track or a wrong limit."""
 TRIM = 0.01
-"""Of the places where vehicles were seen, the outermost are single ones."""
+"""Share of positions at either end that are left out. Chosen: the outermost are of single vehicles;
+larger shortens the stretch that is seen."""
+
+_SAMPLE = np.dtype(
+    [("vehicle", "<i8"), ("lane", "<i8"), ("xy", "<f8", 2), ("kind", "<i8"), ("speed", "<f8")]
+)
+"""A vehicle in one sample."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,8 +49,8 @@ class Demand:
     """Traffic as it was seen.
 
     Attributes:
-        time_s: How long it was looked at.
-        flow_per_h: Vehicles per hour that enter each edge from beyond what is seen.
+        time_s: How long it was observed.
+        flow_per_h: Vehicles per hour that enter each edge from outside the view.
         turns: For each edge, how many vehicles went on to which edge.
         kinds: (K,) types of vehicles, numbers in `TYPES`, as often as they were seen.
         factors: (K,) speed over the limit of each.
@@ -90,7 +103,7 @@ class ObservedTraffic:
         return (self._samples[-1][0] - self._samples[0][0]) * 1e-9 if self._samples else 0.0
 
     def snapshot(self) -> ObservedTraffic:
-        """The same up to now, for another thread."""
+        """A copy for another thread."""
         other = ObservedTraffic(self._network, self._window_ns * 1e-9)
         other._samples, other.last = deque(self._samples), self.last
         return other
@@ -116,10 +129,10 @@ class ObservedTraffic:
         return Demand(time_s, roots, turns, kinds, factors, flow)
 
     def _flow_per_h(self, rows: NDArray[np.void], time_s: float) -> float:
-        """Edie's flow of an edge by its rows, in the stretch where most was seen.
+        """Flow of an edge by its rows, in the stretch where most was seen.
 
-        A camera sees less of what is far away or hidden, and so the largest of the flows in
-        stretches of `STRETCH_M` is nearest to the truth.
+        A camera sees less of what is far away or hidden, so the largest of the flows in stretches
+        of `STRETCH_M` is nearest to the truth.
         """
         arc = project(rows["xy"], self._network.line(int(rows["lane"].min()))).arc_m
         order = np.argsort(arc)
@@ -132,13 +145,13 @@ class ObservedTraffic:
         return 3600.0 * float((driven_m[last] - driven_m[first]).max()) / (stretch_m * time_s)
 
     def _turns(self, rows: NDArray[np.void], edges: NDArray[np.object_]) -> dict[str, Counter[str]]:
-        ways, turns = RouteFinder(self._network), dict[str, Counter[str]]()
+        finder, turns = RouteFinder(self._network), dict[str, Counter[str]]()
         order = np.argsort(rows["vehicle"], kind="stable")  # in time, for every vehicle
         vehicle, edge = rows["vehicle"][order], edges[order]
         moved = np.flatnonzero((vehicle[1:] == vehicle[:-1]) & (edge[1:] != edge[:-1]))
         for pair, count in Counter(zip(edge[moved], edge[moved + 1], strict=True)).items():
-            way = ways.complete(list(pair))
-            for here, there in zip(way or [], (way or [])[1:], strict=False):
+            route = finder.complete(list(pair))
+            for here, there in zip(route or [], (route or [])[1:], strict=False):
                 turns.setdefault(here, Counter())[there] += count
         return turns
 
@@ -157,7 +170,7 @@ class ObservedTraffic:
 def _balanced(
     roots: dict[str, float], turns: Mapping[str, Mapping[str, int]], seen: Mapping[str, float]
 ) -> dict[str, float]:
-    """Flows that enter, raised to what is seen farther on: a camera sees less of its far end."""
+    """Entering flows, raised to what is seen farther on: a camera sees less far away."""
     reached = {root: _shares(root, turns) for root in roots}
     total: dict[str, float] = {}
     for root, shares in reached.items():
@@ -170,7 +183,7 @@ def _balanced(
 
 
 def _shares(root: str, turns: Mapping[str, Mapping[str, int]]) -> dict[str, float]:
-    """Of what enters at an edge, the share that comes to each edge after it."""
+    """Share of the traffic entering at an edge that reaches each edge after it."""
     shares, waiting = {root: 1.0}, deque([root])
     while waiting and len(shares) < MAX_EDGES:
         here = waiting.popleft()
@@ -180,8 +193,3 @@ def _shares(root: str, turns: Mapping[str, Mapping[str, int]]) -> dict[str, floa
                 shares[edge] = shares[here] * count / out
                 waiting.append(edge)
     return shares
-
-
-_SAMPLE = np.dtype(
-    [("vehicle", "<i8"), ("lane", "<i8"), ("xy", "<f8", 2), ("kind", "<i8"), ("speed", "<f8")]
-)

@@ -1,4 +1,7 @@
-"""Runs the traffic ahead of the twin in processes of their own, and reads what came of it."""
+"""Runs forecasts in SUMO processes of their own, and reads their results.
+
+`ForecastRun` is for the command line; `ForecastJob` is the same as work for a thread of the node.
+"""
 
 from __future__ import annotations
 
@@ -19,13 +22,17 @@ from geoorbit_ros.twin.forecast.observed_traffic import MIN_TIME_S, ObservedTraf
 from geoorbit_ros.twin.scenario import Scenario
 from geoorbit_ros.twin.sumo_process import (
     SimulationError,
-    exit_words,
+    exit_text,
     program_environment,
     program_path,
 )
 
 AS_IT_IS, WITH_CHANGES = "as it is", "with changes"
 POLL_S = 0.05
+"""Between two looks at the processes. Chosen: far below the seconds that a forecast takes."""
+SEED = 1
+"""Of the arrivals and of SUMO's drivers in the node. Chosen: any; the same gives the same
+forecast."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +46,7 @@ class LaneForecast:
         flow_per_h: Density times speed: vehicles per hour through its middle.
         travel_time_s: Time to drive it at that speed.
         queue_m_mean, queue_m_max: From its end to the last vehicle slower than 5 km/h.
-        queue_vehicles: Standing vehicles on average.
+        queue_vehicles: Standing vehicles, on average.
     """
 
     lane: str
@@ -58,11 +65,11 @@ class Forecast:
 
     Attributes:
         scenario: Its name.
-        changes: What is changed, in words.
+        changes: What is changed, in one line.
         lanes: Every lane outside junctions, in the order of the network.
         vehicles: How many were in the network at all.
-        left_per_h: Vehicles that reached the end of their ways, per hour.
-        waiting: Vehicles that did not find room to enter in the end: the queue beyond the network.
+        left_per_h: Vehicles that reached the end of their routes, per hour.
+        waiting: Vehicles that had found no room to enter at the end: the queue before the network.
         took_s: Time that the computer needed.
     """
 
@@ -75,19 +82,19 @@ class Forecast:
     took_s: float
 
     def values(self) -> dict[str, Any]:
-        """As JSON has it."""
+        """All values, for JSON."""
         return asdict(self)
 
 
 class ForecastRun:
     """A forecast that is being computed: one process, or two where something is changed.
 
-    The twin is only read, before this returns; nothing here waits.
+    It reads the twin only before it returns, and does not wait for SUMO.
 
     Args:
         network: The roads.
         start: Where it begins.
-        scenario: What is changed; without changes the road as it is is run alone.
+        scenario: What is changed; without changes only the unchanged road is simulated.
         limit_s: Time after which it is given up.
         clock_s: Monotonic time.
 
@@ -117,7 +124,7 @@ class ForecastRun:
                 config = write_forecast(folder, network, start, changed)
                 with (folder / "sumo.log").open("wb") as log:
                     self._processes[name] = subprocess.Popen(
-                        # Behind the live twin, which has its time to keep.
+                        # At low priority: the live twin must keep its pace.
                         ["nice", "-n", "10", program, "-c", str(config)],
                         env=program_environment(),
                         stdout=log,
@@ -128,7 +135,7 @@ class ForecastRun:
             raise
 
     def poll(self) -> list[Forecast] | None:
-        """The forecasts, once all are there; None while they are computed.
+        """The forecasts, once all are computed; None before.
 
         Raises:
             SimulationError: SUMO failed, or the time is up.
@@ -137,7 +144,7 @@ class ForecastRun:
         took_s = self._clock_s() - self._begin_s
         for name, code in codes.items():
             if code:
-                raise SimulationError(f"forecast '{name}'", self._said(name, code), "a forecast")
+                raise SimulationError(f"forecast '{name}'", self._reason(name, code), "a forecast")
         if None not in codes.values():
             return [self._read(name, took_s) for name in self._scenarios]
         if took_s > self._limit_s:
@@ -146,7 +153,7 @@ class ForecastRun:
         return None
 
     def wait(self) -> list[Forecast]:
-        """The forecasts, as soon as they are there.
+        """Wait for the forecasts.
 
         Raises:
             SimulationError: As `poll`.
@@ -156,17 +163,17 @@ class ForecastRun:
         return found
 
     def close(self) -> None:
-        """End what still runs, and take the files away."""
+        """End running processes and remove their files."""
         for process in self._processes.values():
             if process.poll() is None:
                 process.kill()
             process.wait()
         shutil.rmtree(self._folder, ignore_errors=True)
 
-    def _said(self, name: str, code: int) -> str:
+    def _reason(self, name: str, code: int) -> str:
         text = (self._folder / name.replace(" ", "_") / "sumo.log").read_text(errors="replace")
         errors = [line for line in text.splitlines() if line.startswith("Error")]
-        return errors[0][:300] if errors else f"SUMO's end with {exit_words(code)}"
+        return errors[0][:300] if errors else f"SUMO's end with {exit_text(code)}"
 
     def _read(self, name: str, took_s: float) -> Forecast:
         folder, changed = self._folder / name.replace(" ", "_"), self._scenarios[name]
@@ -199,7 +206,7 @@ class ForecastRun:
         )
         return Forecast(
             scenario=name,
-            changes=changed.words(),
+            changes=changed.describe(),
             lanes=tuple(known),
             vehicles=int(last.get("inserted", 0.0)),
             left_per_h=last.get("ended", 0.0) * 3600.0 / horizon_s,
@@ -231,11 +238,8 @@ def _queues(path: Path) -> _Queues:
     return _Queues(samples, lengths)
 
 
-SEED = 1
-
-
 class ForecastJob:
-    """Looks at the traffic when it is made; works when it is told to.
+    """A forecast for a thread: copies the traffic when made, computes when `work` is called.
 
     Args:
         network: The roads.
@@ -243,10 +247,10 @@ class ForecastJob:
         scenario: What is changed.
         horizon_s: How far ahead.
         limit_s: Time after which it is given up.
-        place: Who asks, for errors.
+        place: Names the caller in errors.
 
     Attributes:
-        about: What it will be about, for JSON.
+        about: Begin, horizon, vehicles and changes, for JSON.
 
     Raises:
         SimulationError: Too little was seen.
@@ -271,12 +275,12 @@ class ForecastJob:
             "begins_s": traffic.last.stamp_ns / 1e9,
             "horizon_s": horizon_s,
             "vehicles": len(traffic.last.vehicle_id),
-            "changes": scenario.words(),
+            "changes": scenario.describe(),
             "observed_s": traffic.time_s,
         }
 
     def work(self) -> dict[str, Any]:
-        """What came of it, for JSON.
+        """Compute the forecast; its values for JSON.
 
         Raises:
             SimulationError: Too little was seen, SUMO failed, or the time is up.
@@ -298,7 +302,7 @@ class ForecastJob:
         }
 
     def close(self) -> None:
-        """End it; `work` finds its processes ended."""
+        """End the processes; `work` then raises."""
         self._closed = True
         if self._run is not None:
             self._run.close()
