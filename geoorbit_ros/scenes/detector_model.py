@@ -12,15 +12,18 @@ from geoorbit_ros.scenes.camera import PinholeCamera, body_corners
 from geoorbit_ros.scenes.scene import Detector
 
 GAP_S = 0.5
-"""A tracker that loses a vehicle for longer gives it a new id."""
+"""A tracker that loses a vehicle for longer gives it a new id. Chosen: less than this package's
+tracker needs (`max_gap_s`), as a poorer tracker would."""
 BIAS_TIME_S = 0.7
-"""Correlation time of a box's slowly varying error: boxes breathe, they don't only jitter."""
+"""Correlation time of a box's slowly varying error. Chosen: longer than a frame, shorter than a
+passage."""
 MIN_VISIBLE_SHARE = 0.3
-"""A box cut by the image border to less than this is not detected."""
-
-GHOST_SIZE_PX = np.array([60.0, 40.0])
-"""Width and height of a false box."""
-GHOST_JITTER_PX = 2.0
+"""A box cut by the image border to less than this is not detected. Chosen: detectors trained on
+whole vehicles miss small parts."""
+FALSE_BOX_SIZE_PX = np.array([60.0, 40.0])
+"""Width and height of a false box. Chosen: a car's at middle distance."""
+FALSE_BOX_JITTER_PX = 2.0
+"""1-sigma of a false box's edges. Chosen: more than `edge_noise_px`, so that it seems to move."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,8 +91,8 @@ class DetectorModel:
         self._next_id = 1
         width, height = camera.image_size
         count = faults.false_tracks
-        self._ghosts = self._random.uniform([0, 0], [0.9 * width, 0.9 * height], (count, 2))
-        self._ghost_ids = [self._new_id() for _ in range(count)]
+        self._false_places = self._random.uniform([0, 0], [0.9 * width, 0.9 * height], (count, 2))
+        self._false_ids = [self._new_id() for _ in range(count)]
 
     def detect(self, time_s: float, view: View) -> tuple[NDArray[np.void], NDArray[np.int64]]:
         """Rows (M,) `PIXEL_TRACK_DTYPE` and the vehicle (M,) behind each, -1 behind a false one."""
@@ -98,7 +101,7 @@ class DetectorModel:
         keep = self._detected(boxes, clipped, depth)
         kept = np.flatnonzero(keep)
         noisy = self._clip(clipped[kept] + self._noise(time_s, view.vehicle[kept], clipped[kept]))
-        rows = np.zeros(len(kept) + len(self._ghosts), PIXEL_TRACK_DTYPE)
+        rows = np.zeros(len(kept) + len(self._false_places), PIXEL_TRACK_DTYPE)
         real = rows[: len(kept)]
         _fill(real, noisy)
         real["class_id"] = self._classes(view.coco_class[kept])
@@ -109,10 +112,10 @@ class DetectorModel:
         )
         real["track_id"] = [self._id(time_s, int(v)) for v in view.vehicle[kept]]
         self._switch(time_s, view.vehicle[kept], noisy)
-        self._add_ghosts(rows[len(kept) :])
+        self._add_false_boxes(rows[len(kept) :])
         self._last_s = time_s
         sound = (rows["width"] > 1.0) & (rows["height"] > 1.0)
-        vehicles = np.append(view.vehicle[kept], np.full(len(self._ghosts), -1))
+        vehicles = np.append(view.vehicle[kept], np.full(len(self._false_places), -1))
         return rows[sound], vehicles[sound]
 
     def _clip(self, boxes: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -178,12 +181,14 @@ class DetectorModel:
             one, two = int(vehicles[a]), int(vehicles[b])
             self._track[one], self._track[two] = self._track[two], self._track[one]
 
-    def _add_ghosts(self, rows: NDArray[np.void]) -> None:
-        jitter = self._random.normal(0.0, GHOST_JITTER_PX, (len(rows), 4))
-        boxes = np.column_stack([self._ghosts, self._ghosts + GHOST_SIZE_PX]) + jitter
+    def _add_false_boxes(self, rows: NDArray[np.void]) -> None:
+        jitter = self._random.normal(0.0, FALSE_BOX_JITTER_PX, (len(rows), 4))
+        boxes = (
+            np.column_stack([self._false_places, self._false_places + FALSE_BOX_SIZE_PX]) + jitter
+        )
         _fill(rows, self._clip(boxes))
         rows["class_id"], rows["score"] = 2, 0.4
-        rows["track_id"] = self._ghost_ids
+        rows["track_id"] = self._false_ids
 
 
 def _fill(rows: NDArray[np.void], boxes: NDArray[np.float64]) -> None:

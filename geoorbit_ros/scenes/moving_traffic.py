@@ -6,11 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.scenes.detector_model import View
-from geoorbit_ros.scenes.scene import Scene
+from geoorbit_ros.scenes.scene import VEHICLE_TYPES, Scene
 from geoorbit_ros.scenes.traffic import STEP_S, TrafficRecord
-from geoorbit_ros.scenes.vehicles import VEHICLE_TYPES
 
 WANDER_TIME_S = 4.0
+"""Correlation time of a driver's wander in the lane. Chosen: shorter looks like noise of the boxes,
+longer like another habitual place."""
 
 
 class MovingTraffic:

@@ -24,6 +24,18 @@ def write_network(placed: dict[str, PlacedRoad], folder: Path, datum: Datum | No
     Raises:
         RoadNetworkError: netconvert is not there, refuses the roads or does not end.
     """
+    for stem, tree in _plain_xml(placed).items():
+        Xml.ElementTree(tree).write(folder / f"scene.{stem}.xml", encoding="utf-8")
+    net = _netconvert(folder)
+    if datum is not None:
+        text = net.read_text(encoding="utf-8")
+        origin = f'projParameter="{datum.proj_string}"'
+        net.write_text(text.replace('projParameter="!"', origin, 1), encoding="utf-8")
+    return net
+
+
+def _plain_xml(placed: dict[str, PlacedRoad]) -> dict[str, Xml.Element]:
+    """SUMO's nodes (`nod`), edges (`edg`) and connections (`con`)."""
     nodes, edges = Xml.Element("nodes"), Xml.Element("edges")
     connections = Xml.Element("connections")
     start = {name: _start_node(name, p) for name, p in placed.items()}
@@ -56,8 +68,11 @@ def write_network(placed: dict[str, PlacedRoad], folder: Path, datum: Datum | No
                 fromLane=str(lane),
                 toLane=str(next_lane),
             )
-    for stem, tree in (("nod", nodes), ("edg", edges), ("con", connections)):
-        Xml.ElementTree(tree).write(folder / f"scene.{stem}.xml", encoding="utf-8")
+    return {"nod": nodes, "edg": edges, "con": connections}
+
+
+def _netconvert(folder: Path) -> Path:
+    """The network that netconvert makes of the plain XML in a folder."""
     net = folder / "scene.net.xml"
     netconvert(
         [
@@ -72,10 +87,6 @@ def write_network(placed: dict[str, PlacedRoad], folder: Path, datum: Datum | No
         ],
         "the scene's roads",
     )
-    if datum is not None:
-        text = net.read_text(encoding="utf-8")
-        origin = f'projParameter="{datum.proj_string}"'
-        net.write_text(text.replace('projParameter="!"', origin, 1), encoding="utf-8")
     return net
 
 

@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-BEFORE_M, AFTER_M = 330.0, 330.0
-"""Road before and after the middle of the view: vehicles are at speed when they come into it."""
-
+BEFORE_M = 330.0
+"""Road before the middle of the view. Chosen: vehicles are at speed when they come into it."""
+AFTER_M = 330.0
+"""Road after the middle of the view, where those of the other carriageway come from."""
 MAX_RADIUS_M = 5000.0
-"""Of a bend in a scene file."""
+"""Largest radius that a scene file may give to a bend."""
 
 Piece = tuple[float, float]
 """Length in metres and curvature to the left in 1/m."""
@@ -65,7 +66,7 @@ def random_carriageway(
     if event in ("end", "begin"):
         first, second = _cut(curve, at)
         change = 1 if event == "begin" else -1
-        # Without drivers who want to be in it, nobody would use a lane that begins.
+        # Without drivers who want to be in it, a lane that begins would stay empty.
         parts = [road("_a", lanes, first, start=start)]
         parts.append(road("_b", lanes + change, second, follows=parts[0]["id"]))
         flow["route"] = [part["id"] for part in parts]

@@ -28,9 +28,13 @@ from geoorbit_ros.scenes.truth import visible_lanes
 SIDE_FRICTION_MPS2 = 1.5
 """Comfortable lateral acceleration: tight bends are driven slowly (AASHTO Green Book, 3.3)."""
 SEEN_M = 40.0
+"""A lane is seen when the camera sees this much of it. Chosen: twice the least of `truth`."""
 SEEN_SHARE = 0.75
+"""Share of the lanes that a camera must see. Chosen: more finds no place for wide junctions."""
 MIN_CONTROL_POINTS = 8
+"""Control points that must be in view. Chosen: twice the four that a homography needs."""
 TRIES = 200
+"""Places that are drawn before giving up. Measured: enough for all seeds below 1000."""
 
 
 class RandomSceneError(GeoOrbitError):

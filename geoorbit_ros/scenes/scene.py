@@ -2,25 +2,57 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from pydantic import Field, model_validator
 
 from geoorbit_ros.core.errors import InputFileError
 from geoorbit_ros.core.resources import share_path
 from geoorbit_ros.scenes.road_plan import Positive, Road, RoadPoint
-from geoorbit_ros.scenes.vehicles import VEHICLE_TYPES
 from geoorbit_ros.storage.yaml_file import Key, StrictModel, WrongValue, read_yaml
-
-if TYPE_CHECKING:
-    from geoorbit_ros.scenes.road_plan import Road, RoadPoint
-
 
 _FOLDER = "params/scenes"
 
 Pixels = Annotated[int, Field(ge=160, le=8192)]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleType:
+    """A type of vehicle and how a detector calls it.
+
+    Attributes:
+        length_m: Mean.
+        width_m: Mean.
+        height_m: Mean.
+        spread: 1-sigma of the sizes, relative.
+        coco_class: Class that a detector gives it.
+        vclass: SUMO's vClass.
+        speed_factor: Wished speed relative to the speed limit.
+    """
+
+    length_m: float
+    width_m: float
+    height_m: float
+    spread: float
+    coco_class: int
+    vclass: str
+    speed_factor: float
+
+
+VEHICLE_TYPES: dict[str, VehicleType] = {
+    "car": VehicleType(4.5, 1.82, 1.47, 0.05, 2, "passenger", 1.0),
+    "suv": VehicleType(4.8, 1.95, 1.75, 0.05, 2, "passenger", 1.0),
+    "van": VehicleType(5.6, 2.0, 2.3, 0.08, 2, "delivery", 0.97),
+    "truck": VehicleType(9.0, 2.5, 3.4, 0.08, 7, "truck", 0.88),
+    "semitrailer": VehicleType(16.5, 2.55, 4.0, 0.03, 7, "trailer", 0.85),
+    "bus": VehicleType(12.0, 2.55, 3.2, 0.04, 5, "bus", 0.9),
+    "motorcycle": VehicleType(2.2, 0.8, 1.5, 0.05, 3, "motorcycle", 1.05),
+}
+"""Sizes: typical in Europe and North America (AASHTO design vehicles P, SU, WB, BUS). Spreads and
+speeds chosen."""
 
 
 class Place(StrictModel):

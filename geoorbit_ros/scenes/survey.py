@@ -11,11 +11,16 @@ from geoorbit_ros.scenes.camera import PinholeCamera
 from geoorbit_ros.scenes.roads import PlacedRoad
 
 POINTS = 16
+"""Control points of a camera. Chosen: more make the calibration more exact than a person's."""
 SURVEY_SIGMA_M = 0.02
+"""1-sigma of a surveyed coordinate. Chosen: that of satellite positioning with corrections
+(RTK)."""
 CLICK_SIGMA_PX = 0.5
+"""1-sigma of a clicked pixel coordinate. Chosen: a careful person's."""
 MARGIN_PX = 20.0
+"""No point is nearer to the image border: lens distortion is largest there."""
 MAX_GROUND_SIGMA_M = 0.5
-"""Nobody clicks a point that a pixel moves by more than this."""
+"""No point is taken where a pixel is more than this on the ground: it would be too uncertain."""
 
 
 def survey_control_points(

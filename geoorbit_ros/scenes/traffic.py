@@ -20,13 +20,20 @@ from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.roadnet.netconvert import last_line
 from geoorbit_ros.scenes.network import write_network
 from geoorbit_ros.scenes.roads import PlacedRoad
-from geoorbit_ros.scenes.scene import Scene
-from geoorbit_ros.scenes.vehicles import VEHICLE_TYPES
+from geoorbit_ros.scenes.scene import VEHICLE_TYPES, Scene
 
 STEP_S = 0.1
+"""SUMO's time step; positions in between are interpolated. Chosen: longer changes lanes in jumps,
+shorter takes more time."""
 WARM_UP_S = 45.0
+"""Traffic flows this long before time 0. Chosen: at 100 km/h vehicles are 1.2 km down the road by
+then."""
 LANE_CHANGE_S = 4.0
+"""Duration of a lane change. Chosen: longer keeps vehicles between lanes, shorter turns them too
+sharply."""
 TIME_LIMIT_S = 900.0
+"""SUMO is ended after this. Chosen: longer hides for longer that it hangs, shorter ends long
+scenes."""
 _LEAKED = ("LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")
 """Variables that the ROS wheels set for their own process; no other interpreter may see them."""
 
@@ -116,7 +123,7 @@ def _departures(scene: Scene, duration_s: float, seed: int) -> list[_Departure]:
             rate = flow.per_hour * share / sum(lane_shares) / 3600.0
             time_s = 0.0
             while rate > 0.0:
-                # Shifted exponential headways (Cowan 1975, M3): nobody follows within 1.5 s.
+                # Shifted exponential headways (Cowan 1975, M3): the least headway is 1.5 s.
                 shift = min(1.5, 0.6 / rate)
                 time_s += shift + random.exponential(1.0 / rate - shift)
                 if time_s > WARM_UP_S + duration_s:

@@ -13,14 +13,22 @@ from geoorbit_ros.scenes.detector_model import View, exact_boxes
 from geoorbit_ros.scenes.roads import LaneKey, PlacedRoad, lane_chains
 
 SAMPLE_M = 1.0
+"""Spacing of a true lane's points."""
 CAR_M = (4.5, 1.82, 1.47)
+"""Length, width, height of the car whose visibility decides: that of `VEHICLE_TYPES`."""
 MIN_HEIGHT_PX = 14.0
+"""Least height of that car in the image. Chosen: a little more than a detector's 12 px, so that
+noise hides none."""
 BORDER_PX = 2.0
+"""The car is at least this far within the image, so that noise cuts none."""
 MAX_GROUND_SIGMA_M = 1.3
-"""Where one pixel is more than this on the ground, the camera places no vehicle in a lane."""
+"""Where one pixel is more than this on the ground, the camera places no vehicle in a lane. Chosen:
+a third of a lane."""
 MIN_LENGTH_M = 20.0
+"""Shorter lanes are left out (docs/scenes.md). Chosen: four cars."""
 COUNT_M = 20.0
-"""A vehicle counts for a lane after this distance in it, or half of the lane if that is less."""
+"""A vehicle counts for a lane after this distance in it, or half of the lane if that is less
+(docs/scenes.md). Chosen: as `MIN_LENGTH_M`."""
 
 
 @dataclass(frozen=True, slots=True)

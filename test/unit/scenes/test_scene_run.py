@@ -77,11 +77,11 @@ def test_the_truth_is_where_vehicles_drive(name: str) -> None:
     offsets = np.abs(same_way_offsets(run))
     heading = run.clean.rows["heading"].astype(float)
     same_way = np.array([np.cos(heading - lane.middle[2]) > 0.5 for lane in run.truth])
-    # Lanes are seen over different lengths: judge vehicles where all lanes of their way are.
-    judged = (np.isfinite(offsets) == same_way).all(axis=0) & same_way.any(axis=0)
-    nearest = np.nanmin(offsets[:, judged], axis=0)
-    assert judged.sum() > 200
-    # Between two lanes is where lane changers are; nobody is on the verge.
+    # Lanes are seen over different lengths: count vehicles where all lanes of their way are.
+    counted = (np.isfinite(offsets) == same_way).all(axis=0) & same_way.any(axis=0)
+    nearest = np.nanmin(offsets[:, counted], axis=0)
+    assert counted.sum() > 200
+    # Between two lanes is where lane changers are; no vehicle is on the verge.
     assert np.all(nearest < 0.5 * run.scene.lane_width_m + 0.6)
     # Habit and wander: 0.2 and 0.12 m.
     assert np.median(nearest) < 0.3

@@ -10,8 +10,15 @@ from made_scenes import true_lanes
 from pydantic import BaseModel
 
 from geoorbit_ros.scenes.road_plan import Road
-from geoorbit_ros.scenes.scene import Camera, Detector, Flow, Scene, Traffic, load_scene
-from geoorbit_ros.scenes.vehicles import VEHICLE_TYPES
+from geoorbit_ros.scenes.scene import (
+    VEHICLE_TYPES,
+    Camera,
+    Detector,
+    Flow,
+    Scene,
+    Traffic,
+    load_scene,
+)
 from geoorbit_ros.storage.yaml_file import StrictModel
 
 GUIDE = (Path(__file__).parents[3] / "docs" / "scenes.md").read_text(encoding="utf-8")

@@ -64,7 +64,7 @@ def test_a_vehicle_vanishes_when_its_front_reaches_the_roads_end(straight: Traff
 def test_a_share_of_zero_leaves_a_lane_empty() -> None:
     scene = load_scene("straight_3x3")
     flow = {"route": ["north"], "per_hour": 1200, "lane_shares": [0.0, 0.0, 1.0]}
-    # One type at one speed: nobody has a reason to leave the lane.
+    # One type at one speed: no driver has a reason to leave the lane.
     calm = {"flows": [flow], "mix": {"car": 1.0}, "speed_factor_sigma": 0.0}
     record = traffic(changed(scene, traffic=calm))
     assert record.lane_names == [("north", 2)]
