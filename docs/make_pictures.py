@@ -72,16 +72,16 @@ class Camera:
     Attributes:
         run: The scene's run.
         tracks: Ground tracks, frame by frame.
-        passes: Condensed vehicle tracks.
-        worth: (P,) worth of each pass.
+        segments: Condensed vehicle tracks.
+        weight: (P,) weight of each segment.
         corridors: Streams of traffic.
         lane_map: The lanes.
     """
 
     run: SceneRun
     tracks: list[StampedRows]
-    passes: TrajectorySegments
-    worth: NDArray[np.float64]
+    segments: TrajectorySegments
+    weight: NDArray[np.float64]
     corridors: list[Corridor]
     lane_map: LaneMap
 
@@ -94,9 +94,9 @@ def look_through(scene: str) -> Camera:
     evidence = Evidence()
     for stamp_ns, rows in tracks:
         evidence.add(stamp_ns, rows)
-    passes, worth = evidence.passes()
+    segments, weight = evidence.segments()
     lane_map = map_lanes(tracks, LaneMapper(make_estimator("curvilinear"), THETA))
-    return Camera(run, tracks, passes, worth, find_corridors(passes), lane_map)
+    return Camera(run, tracks, segments, weight, find_corridors(segments), lane_map)
 
 
 def draw_hero(camera: Camera) -> Figure:
@@ -132,8 +132,8 @@ def draw_image(axes: Axes, camera: Camera, title: str) -> None:
 def draw_map(axes: Axes, camera: Camera, title: str) -> None:
     """Lanes over vehicle paths, turned so that the first corridor runs to the right."""
     turn = Turn(camera)
-    for k in range(len(camera.passes)):
-        xy = turn(nodes_of(camera.passes, k))
+    for k in range(len(camera.segments)):
+        xy = turn(nodes_of(camera.segments, k))
         axes.plot(*xy.T, color=GREY, lw=0.5, alpha=0.35)
     for lane in camera.lane_map.confirmed:
         draw_lane(axes, lane, turn, colour_of(camera, lane))
@@ -150,8 +150,8 @@ class Turn:
     """Rotation of the map that lays the longest corridor along the page."""
 
     def __init__(self, camera: Camera) -> None:
-        spine = camera.corridors[0].spine
-        along = spine.xy[-1] - spine.xy[0]
+        reference = camera.corridors[0].reference_line
+        along = reference.xy[-1] - reference.xy[0]
         cos, sin = along / np.hypot(*along)
         self._matrix = np.array([[cos, sin], [-sin, cos]])
 
@@ -188,17 +188,17 @@ def draw_scale(axes: Axes, length_m: float = 20.0) -> None:
     axes.annotate(f"{length_m:.0f} m", (x + length_m + 1.5, y), va="center", size=7, color=GREY)
 
 
-def draw_passes(camera: Camera) -> Figure:
+def draw_segments(camera: Camera) -> Figure:
     """Stage 1: thirty rows a second become a few nodes per vehicle."""
     figure, axes = plt.subplots(figsize=(9.0, 4.0), layout="constrained")
     turn = Turn(camera)
     every = np.concatenate([rows for _, rows in camera.tracks])
     xy = turn(np.column_stack([every["x"], every["y"]]).astype(np.float64))
     axes.plot(*xy.T, ".", color=PALE, ms=2.0, label=f"{len(every)} rows of `tracks`")
-    for k in range(len(camera.passes)):
-        axes.plot(*turn(nodes_of(camera.passes, k)).T, color=COLOURS[0], lw=0.6, alpha=0.6)
-    nodes = turn(camera.passes.xy)
-    text = f"{len(nodes)} nodes of {len(camera.passes)} passes"
+    for k in range(len(camera.segments)):
+        axes.plot(*turn(nodes_of(camera.segments, k)).T, color=COLOURS[0], lw=0.6, alpha=0.6)
+    nodes = turn(camera.segments.xy)
+    text = f"{len(nodes)} nodes of {len(camera.segments)} segments"
     axes.plot(*nodes.T, ".", color=COLOURS[0], ms=2.5, label=text)
     draw_scale(axes)
     axes.legend(loc="lower right", bbox_to_anchor=(0.72, 0.0), markerscale=3)
@@ -210,7 +210,7 @@ def draw_passes(camera: Camera) -> Figure:
 
 
 def draw_corridors(cameras: Sequence[Camera]) -> Figure:
-    """Stage 2: streams of traffic with their reference curves."""
+    """Stage 2: streams of traffic with their reference lines."""
     figure, panels = plt.subplots(
         1, len(cameras), figsize=(9.0, 3.1), width_ratios=(6, 5), layout="constrained"
     )
@@ -218,19 +218,19 @@ def draw_corridors(cameras: Sequence[Camera]) -> Figure:
         turn = Turn(camera)
         for k, corridor in enumerate(camera.corridors):
             colour = COLOURS[k % len(COLOURS)]
-            nodes = turn(camera.passes.xy[corridor.node])
+            nodes = turn(camera.segments.xy[corridor.node])
             axes.plot(*nodes.T, ".", color=colour, ms=2.0, alpha=0.5)
-            if len(np.unique(camera.passes.owner[corridor.node])) < 3:
+            if len(np.unique(camera.segments.owner[corridor.node])) < 3:
                 continue
-            spine = corridor.spine
+            reference = corridor.reference_line
             low, high = corridor.s.min(), corridor.s.max()
-            line = turn(spine.xy[(spine.s >= low) & (spine.s <= high)])
+            line = turn(reference.xy[(reference.s >= low) & (reference.s <= high)])
             axes.plot(*line.T, color=INK, lw=1.4)
             axes.annotate(
                 "", line[-1], line[-4], arrowprops={"arrowstyle": "-|>", "color": INK, "lw": 1.4}
             )
             for s in np.arange(np.ceil(low / RUN_OUT_M) * RUN_OUT_M, high, RUN_OUT_M):
-                tick = turn(spine.to_map(np.full(2, s), np.array([-1.2, 1.2])))
+                tick = turn(reference.to_map(np.full(2, s), np.array([-1.2, 1.2])))
                 axes.plot(*tick.T, color=INK, lw=0.8)
         axes.set_aspect("equal")
         axes.set(xticks=[], yticks=[])
@@ -239,9 +239,9 @@ def draw_corridors(cameras: Sequence[Camera]) -> Figure:
 
 
 def draw_density(camera: Camera) -> Figure:
-    """Stage 3: density over (s, d), its crests, and one section through it."""
-    profiles = lateral_profiles(camera.corridors[:1], camera.passes, camera.worth)
-    stages = find_ridges(profiles, camera.passes.large[profiles.passes], THETA)
+    """Stage 3: density over (s, d), its ridges, and one section through it."""
+    profiles = lateral_profiles(camera.corridors[:1], camera.segments, camera.weight)
+    stages = find_ridges(profiles, camera.segments.large[profiles.segment], THETA)
     density = stages.density
     figure, (plane, section) = plt.subplots(
         1, 2, figsize=(9.0, 4.2), width_ratios=(7, 3), sharey=True, layout="constrained"
@@ -259,7 +259,7 @@ def draw_density(camera: Camera) -> Figure:
         ylim=(used.min(), used.max()),
         xlim=(s[profiles.station.min()], s[profiles.station.max()]),
     )
-    plane.set_title("3. Density of vehicles in road coordinates, and its crests")
+    plane.set_title("3. Density of vehicles in road coordinates, and its ridges")
     section.plot(density.value[at], density.offset_m, color=COLOURS[0])
     section.fill_betweenx(density.offset_m, density.value[at], color=COLOURS[0], alpha=0.15)
     for ridge in stages.ridges:
@@ -282,16 +282,16 @@ def draw_lanes(camera: Camera) -> Figure:
     return figure
 
 
-def nodes_of(passes: TrajectorySegments, k: int) -> NDArray[np.float64]:
-    """(M, 2) nodes of one pass."""
-    return passes.xy[passes.offset[k] : passes.offset[k + 1]]
+def nodes_of(segments: TrajectorySegments, k: int) -> NDArray[np.float64]:
+    """(M, 2) nodes of one segment."""
+    return segments.xy[segments.offset[k] : segments.offset[k + 1]]
 
 
 def colour_of(camera: Camera, lane: Lane) -> str:
     """One colour per direction of travel, that of the first corridor first."""
-    heading = camera.corridors[0].spine.heading
+    heading = camera.corridors[0].reference_line.heading
     x, y, own = lane.middle
-    corridor = camera.corridors[0].spine
+    corridor = camera.corridors[0].reference_line
     s, _ = corridor.to_road(np.array([[x, y]]))
     along = np.cos(own - np.interp(s[0], corridor.s, heading))
     return COLOURS[0] if along > 0.0 else COLOURS[1]
@@ -310,7 +310,7 @@ def main() -> int:
     """Draw all pictures."""
     save(draw_hero(look_through("curve_250m")), "lanes-overview.png")
     ramp, city = look_through("off_ramp_diverge"), look_through("urban_turn")
-    save(draw_passes(ramp), "lanes-1-segments.png")
+    save(draw_segments(ramp), "lanes-1-segments.png")
     save(draw_corridors([ramp, city]), "lanes-2-corridors.png")
     save(draw_density(ramp), "lanes-3-density.png")
     save(draw_lanes(ramp), "lanes-4-lanes.png")

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from geoorbit_ros.cli.inputs import CameraInput, load_camera
-from geoorbit_ros.lanes.estimators.curvilinear.evidence import MAX_PASSES
+from geoorbit_ros.lanes.estimators.curvilinear.evidence import MAX_SEGMENTS
 from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.lanes.mapping.live_mapper import LaneMemory
 from geoorbit_ros.lanes.mapping.mapper import LaneMapper
@@ -37,8 +37,8 @@ def fill_memories(cameras: Iterable[dict[str, Any]], folder: Path, output: Path)
     for camera in cameras:
         source = recorded(camera, folder)
         memory = LaneMemory(output / "state" / camera["id"] / "lanes.npz", ESTIMATOR)
-        minutes, passes = fill(source, memory)
-        print(f"{camera['id']}: {passes} passes in {minutes} minutes", file=sys.stderr)
+        minutes, segments = fill(source, memory)
+        print(f"{camera['id']}: {segments} segments in {minutes} minutes", file=sys.stderr)
 
 
 def recorded(camera: dict[str, Any], folder: Path) -> CameraInput:
@@ -62,7 +62,7 @@ def fill(camera: CameraInput, memory: LaneMemory) -> tuple[int, int]:
     """Play a camera's recording again and again until its evidence is full, and save that.
 
     Returns:
-        Minutes played, and passes remembered.
+        Minutes played, and segments remembered.
     """
     frames: list[StampedRows] = list(project_frames(camera.frames, camera.projector()))
     mapper = LaneMapper(make_estimator(ESTIMATOR), update_period_s=UPDATE_PERIOD_S)
@@ -70,14 +70,14 @@ def fill(camera: CameraInput, memory: LaneMemory) -> tuple[int, int]:
     period_ns = last_ns - first_ns + (last_ns - first_ns) // max(len(frames) - 1, 1)
     repeats = max(1, round(MOST_MINUTES * 60e9 / period_ns))
     begin_ns = time.time_ns() - repeats * period_ns
-    passes = played = 0
-    while played < repeats and passes < MAX_PASSES:
+    segments = played = 0
+    while played < repeats and segments < MAX_SEGMENTS:
         for stamp_ns, rows in frames:
             shifted = rows.copy()
             shifted["track_id"] += played * ID_STEP
             mapper.add(begin_ns + played * period_ns + stamp_ns - first_ns, shifted)
         played += 1
-        passes = len(mapper.state()["estimator_passes_offset"]) - 1
+        segments = len(mapper.state()["estimator_segments_offset"]) - 1
     mapper.finish()
     memory.save(mapper, camera.datum)
-    return round(played * period_ns / 60e9), passes
+    return round(played * period_ns / 60e9), segments

@@ -29,12 +29,13 @@ BORDER_RATIO = 0.01
 ends of boxes pile up within 4 px of the right border and 9 px of the bottom one (1920x1080):
 detectors round to their stride and don't reach the last pixels."""
 MAX_SIGMA_M = 10.0
-"""Farther out a vehicle's position along the road is uncertain by two of its lengths."""
+"""Farther out a vehicle's position along the road is uncertain by two of its lengths. Chosen:
+larger passes on rows that say little, smaller ends tracks nearer to the camera."""
 SIZE_PERIOD_S = 0.1
 """Sizes are learnt from one frame in every such period of data time: boxes of the frames between
 have the same errors and say nothing new."""
 PATH_HEIGHT_M = 0.8
-"""Half the height of a car."""
+"""Height of a box's centre where nothing is known of the vehicle: half the height of a car."""
 
 
 @dataclass(slots=True)

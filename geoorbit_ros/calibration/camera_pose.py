@@ -17,7 +17,8 @@ HEIGHT_M = (3.0, 100.0)
 FOCAL_WIDTHS = (0.2, 20.0)
 """Focal length over image width: 136 degrees wide to 3 degrees, rectilinear lenses and zooms."""
 MAX_RELATIVE_SIGMA = 0.5
-"""A focal length less certain than this says nothing about heights."""
+"""A focal length less certain than this says nothing about heights. Chosen: larger uses wrong
+heights, smaller leaves cameras without a pose."""
 MAX_SKEW = 0.15
 """How far the road's axes may be from perpendicular and equally long. A principal point 10 % of
 the image's width off its centre makes 0.07, an image of another size 0.2 and more; control points

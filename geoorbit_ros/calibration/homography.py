@@ -29,9 +29,11 @@ GROUND_SIGMA_M = 0.15
 OUTLIER_SQUARE = 13.8
 """Squared error beyond which a point is rejected: chi-square, 2 degrees of freedom, 99.9 %."""
 MAX_SPREAD = 20.0
-"""A median error of twenty times the expected one is no plane at all, but mixed-up rows."""
+"""A median error of twenty times the expected one is no plane at all, but mixed-up rows. Chosen:
+larger accepts wrong calibrations, smaller refuses sloppy ones."""
 PRIOR_POINTS = 4.0
-"""How many degrees of freedom the expected noise counts for beside the observed residuals."""
+"""How many degrees of freedom the expected noise counts for beside the observed residuals. Chosen:
+more hides bad control points, fewer makes the error of four points a guess."""
 MEDIAN_SQUARE = 1.386
 """Median of the chi-square distribution with 2 degrees of freedom: 2 ln 2."""
 

@@ -6,8 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 FORGET_NS = 10_000_000_000
-"""An id unseen for 10 s of data time is a new vehicle when it comes back."""
+"""An id unseen for 10 s of data time is a new vehicle when it comes back. Chosen: longer joins
+vehicles that share an id, shorter forgets a vehicle behind another."""
 SWEEP_NS = 1_000_000_000
+"""Period of looking for such ids. Chosen: shorter costs time, longer holds more memory."""
 NO_IDENTITY = -(2**40)
 """Keys from here downwards stand for detections without identity; no int32 id gets there."""
 
@@ -95,17 +97,26 @@ Array = NDArray[np.float64]
 ACCELERATION_PSD = 5.0
 """m^2/s^3: velocities change by 2.2 m/s within a second, between open road and street corner."""
 FIRST_SPEED_SIGMA = 20.0
-"""m/s, 1-sigma of the speed of a vehicle about which nothing is known."""
+"""m/s, 1-sigma of the speed of a vehicle about which nothing is known. Chosen: wide enough for
+every road; larger needs more frames for a speed."""
 MODEL_SIGMA_M = 0.05
-"""m, what the vehicle model leaves even where a pixel is a centimetre."""
+"""m, what the vehicle model leaves even where a pixel is a centimetre. Chosen: larger smooths near
+tracks more, smaller follows their jitter."""
 JUMP_M = 5.0
-"""m, on top of five sigma: a track that jumps farther is another vehicle under an old id."""
+"""m, on top of five sigma: a track that jumps farther is another vehicle under an old id. Chosen:
+larger drags one vehicle's speed to the next, smaller restarts after bad boxes."""
 MIN_MOVE_M = 1.0
+"""A heading needs this displacement since the track began. Chosen: larger gives headings later,
+smaller gives parked vehicles one."""
 MIN_SPEED = 1.0
+"""m/s, a heading needs this speed. Chosen: larger leaves slow vehicles without, smaller turns
+waiting ones about."""
 SIGNIFICANCE = 3.0
-"""A heading needs a displacement and a speed this many sigma above noise."""
+"""A heading needs a displacement and a speed this many sigma above noise. Chosen: larger gives
+headings later, smaller gives wrong ones."""
 
 X, Y, VX, VY, PP, PV, VV, X0, Y0, R0, HEADING, TIME = range(12)
+"""Columns of the filter's table."""
 
 
 class MotionFilter:

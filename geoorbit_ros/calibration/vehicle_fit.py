@@ -91,18 +91,21 @@ def edge_slopes(
 
 
 EDGE_SIGMA_PX = 1.1
-EDGE_SIGMA_RATIO = 0.014
 """1-sigma frame-to-frame noise of one edge of a box: 1.1 px and 1.4 % of the side. Measured at two
 cameras on US-12 against parabolas over half a second; centres jitter by 0.7 to 0.9 px where sides
 are below 110 px and by 1.3 to 2 px at 200 px, sides by twice that, as independent edges do."""
+EDGE_SIGMA_RATIO = 0.014
+"""The part of that noise that grows with the side, from the same measurement."""
 SHAPE_SIGMA_RATIO = np.array([0.025, 0.10, 0.025, 0.025])
 """What doesn't change from frame to frame, in parts of the side: a detector doesn't draw exactly
-where a silhouette ends, and a roof is shorter and narrower than the footprint, so that the upper
+where an outline ends, and a roof is shorter and narrower than the footprint, so that the upper
 edge (second) is not where a box's would be."""
 UNKNOWN_SIDE_PX2 = 1e6
 """Variance of a side that nothing predicts; the centre of the box is all that counts then."""
 LEFT_RIGHT, TOP_BOTTOM = np.array([-1.0, 0, 1, 0]), np.array([0, -1.0, 0, 1])
+"""How the edges move when a box becomes wider or higher about its centre."""
 SIDES = UNKNOWN_SIDE_PX2 * (np.outer(LEFT_RIGHT, LEFT_RIGHT) + np.outer(TOP_BOTTOM, TOP_BOTTOM))
+"""Covariance of the edges where the sides are unknown."""
 STEPS = 2
 """Each step leaves less than a fifth of the error; the first guess is within metres."""
 
@@ -192,17 +195,18 @@ def fit_vehicles(
     good = (ahead > 0) & (depth.min(axis=1) > 0) & (reached > 0)
     good &= np.isfinite(reached + covariance[:, 0, 0] + covariance[:, 1, 1])
     side_px, side_slope = edge[:, 2:] - edge[:, :2], with_size[:, 2:] - with_size[:, :2]
+    found = VehicleFit(xy, first, noise, covariance, side_px, side_slope, good)
     if not good.all():
-        for values, harmless in (
-            (xy, 0.0),
-            (first, 0.0),
-            (noise, np.nan),
-            (covariance, np.nan),
-            (side_px, 0.0),
-            (side_slope, 0.0),
-        ):
-            values[~good] = harmless
-    return VehicleFit(xy, first, noise, covariance, side_px, side_slope, good)
+        _blank(found)
+    return found
+
+
+def _blank(fit: VehicleFit) -> None:
+    """Replace what came out for vehicles that are not `good`, as `VehicleFit` says."""
+    for values in (fit.xy, fit.first_xy, fit.side_px, fit.side_slope):
+        values[~fit.good] = 0.0
+    for values in (fit.noise, fit.covariance):
+        values[~fit.good] = np.nan
 
 
 def inverse_2x2(matrix: Array) -> Array:

@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 CAR, MOTORCYCLE, BUS, TRUCK = range(4)
+"""Groups of vehicles whose sizes are alike."""
 GROUP = np.full(256, CAR)
-GROUP[[1, 3, 5, 7]] = MOTORCYCLE, MOTORCYCLE, BUS, TRUCK
 """COCO class to size group; every other class is taken for a car."""
+GROUP[[1, 3, 5, 7]] = MOTORCYCLE, MOTORCYCLE, BUS, TRUCK
 
 MEAN_M = np.array(
     [
@@ -43,23 +44,32 @@ CORRELATION = np.array(
         [[1.0, 0.7, 0.8], [0.7, 1.0, 0.8], [0.8, 0.8, 1.0]],
     ]
 )
-"""A long truck is wide and tall, a pickup is neither."""
+"""Between length, width and height of a group. Chosen: a long truck is wide and tall, a pickup is
+neither. Larger values learn more from one side, and wrongly where a vehicle is unusual."""
 
 COVARIANCE = CORRELATION * SIGMA_M[:, :, None] * SIGMA_M[:, None, :]
 PRECISION = np.linalg.inv(COVARIANCE)
 LARGEST_M = np.array([25.0, 2.8, 4.6])
 """No vehicle on a public road is longer, wider or higher without a permit, mirrors included."""
 LOWEST_M = np.maximum(MEAN_M - 3 * SIGMA_M, 0.4)
+"""Least size per group. Chosen: a lower one lets cut-off boxes shrink a vehicle, a higher one blows
+up small cars."""
 HIGHEST_M = np.minimum(MEAN_M + 5 * SIGMA_M, LARGEST_M)
+"""Largest size per group. Chosen: a higher one lets joined boxes of two vehicles be one, a lower
+one cuts long lorries."""
 
 BOX_SIGMA_PX = 1.5
+"""1-sigma of a box's side: frame-to-frame noise, as measured at two cameras for `EDGE_SIGMA_PX`."""
 BOX_SIGMA_RATIO = 0.05
-"""1-sigma of a box's side: 1.5 px of frame-to-frame noise, as measured at two cameras, and 5 % of
-the side, because a vehicle isn't a box and a detector doesn't draw where its silhouette ends."""
+"""The same as a share of the side, because a vehicle isn't a box and a detector doesn't draw where
+its outline ends. Chosen: larger learns sizes more slowly, smaller learns the detector's habits."""
 CORRELATION_S = 0.5
-"""Seconds within which the error of a box's side stays the same, so that 30 boxes per second
-don't count as 30 measurements."""
+"""Seconds within which the error of a box's side stays the same, so that 30 boxes per second don't
+count as 30 measurements. Chosen: longer learns sizes more slowly, shorter believes one view too
+much."""
 HUBER = 2.5
+"""Sigma beyond which a side counts less. Chosen: larger lets cut-off boxes shrink a vehicle,
+smaller ignores good sides."""
 
 DIM, COV, CLASS, INFO, VECTOR = (
     slice(0, 3),
@@ -68,8 +78,9 @@ DIM, COV, CLASS, INFO, VECTOR = (
     slice(16, 25),
     slice(25, 28),
 )
-TIME = 28
-COLUMNS = 29
+"""Columns of the filter's table: size, its covariance, votes by class, information, its vector."""
+TIME, COLUMNS = 28, 29
+"""Columns of the filter's table, and their number."""
 
 
 class SizeFilter:

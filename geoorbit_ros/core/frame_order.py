@@ -7,12 +7,13 @@ from enum import Enum
 from statistics import median
 
 _INTERVALS = 31
-"""Intervals behind the usual one: their median shrugs off up to fifteen gaps."""
+"""Intervals behind the usual one: their median is right with up to fifteen gaps among them."""
 _MAX_GAP = 1000
-"""A longer silence, in frames, is a camera that was off, not frames that were lost."""
+"""A longer silence, in frames, is a camera that was off, not frames that were lost. Chosen: a
+minute at 15 frames per second; larger counts pauses as losses, smaller misses long ones."""
 
 
-class Verdict(Enum):
+class Arrival(Enum):
     """What a frame's stamp says about it."""
 
     NEXT = "next"
@@ -21,7 +22,7 @@ class Verdict(Enum):
 
 
 class FrameOrder:
-    """Judges stamps one by one.
+    """Checks stamps one by one.
 
     Args:
         restart_jump_s: A stamp earlier than the last by more than this begins a new sequence.
@@ -37,21 +38,21 @@ class FrameOrder:
         self._jump_ns = round(restart_jump_s * 1e9)
         self._intervals: deque[int] = deque(maxlen=_INTERVALS)
 
-    def judge(self, stamp_ns: int) -> Verdict:
+    def check(self, stamp_ns: int) -> Arrival:
         """Whether a frame with this stamp comes next, too late (or twice), or begins anew."""
         last = self.last_ns
         if last is None:
             self.last_ns = stamp_ns
-            return Verdict.NEXT
+            return Arrival.NEXT
         interval = stamp_ns - last
         if -self._jump_ns <= interval <= 0:
-            return Verdict.LATE
+            return Arrival.LATE
         self.last_ns = stamp_ns
         if interval < 0:
             self._intervals.clear()
-            return Verdict.RESTART
+            return Arrival.RESTART
         if len(self._intervals) == _INTERVALS:
             gap = round(interval / median(self._intervals)) - 1
             self.missing += gap if gap <= _MAX_GAP else 0
         self._intervals.append(interval)
-        return Verdict.NEXT
+        return Arrival.NEXT

@@ -28,6 +28,7 @@ from geoorbit_ros.lanes.geojson_reader import (
 )
 
 FORMAT_VERSION = 1
+"""Of lanes.geojson; raised when a reader of an earlier version would read it wrongly."""
 DECIMALS = 9
 """Decimals of a degree: 1e-9 degrees of latitude is 0.11 mm."""
 

@@ -30,6 +30,7 @@ _NUMBERS: dict[str, tuple[float, float]] = {
     "vehicles_missing": (0.0, np.inf),
     "sigma_m": (0.0, 1e6),
 }
+"""Ranges of a lane's numbers in a file; values outside are refused."""
 
 
 @dataclass(frozen=True, slots=True)

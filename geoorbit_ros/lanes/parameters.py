@@ -11,6 +11,8 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "angle": (0.0, 1.0),
     "width_scale": (0.5, 2.0),
 }
+"""Ranges of theta: those of smoothing and angle are the paper's (section III-A). That of the width
+scale is chosen: half to twice what is measured."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -90,7 +90,8 @@ def _stack(lines: list[Array]) -> Array:
 
 
 SAMPLES = 64
-"""Points per centreline: one every two to three metres of what a roadside camera sees."""
+"""Points per centreline: one every two to three metres of what a roadside camera sees. Chosen: more
+cost time, fewer miss bends."""
 
 
 @dataclass(frozen=True, slots=True)

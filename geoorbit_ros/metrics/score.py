@@ -37,7 +37,10 @@ from geoorbit_ros.metrics.lane_score import LaneScore, MatchedLane, TrafficClass
 __all__ = ["LaneScore", "MatchedLane", "TrafficClass", "score_lanes", "traffic_class"]
 
 _NO_MATCH = 1e6
+"""Cost of a pair that is no match: more than any distance."""
 _TENTATIVE_HANDICAP_M = 0.5
+"""Added to a tentative lane's distance, so that a confirmed lane beside it is matched first.
+Chosen: larger matches worse confirmed lanes, smaller counts confirmed ones as invented."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,15 +84,13 @@ def score_lanes(
         [_compare(s, t, q) for t, q in zip(truth, true, strict=True)]
         for d, s in zip(detected, seen, strict=True)
     ]
-    near = np.zeros((len(detected), len(truth)), dtype=bool)
-    aligned = np.zeros_like(near)
-    cost = np.full(near.shape, _NO_MATCH)
+    aligned = np.zeros((len(detected), len(truth)), dtype=bool)
+    cost = np.full(aligned.shape, _NO_MATCH)
     for i, lane in enumerate(detected):
+        handicap = _TENTATIVE_HANDICAP_M * (lane.status == "tentative")
         for j, pair in enumerate(pairs[i]):
-            near[i, j] = pair.distance_m <= gate_m and pair.overlap >= min_overlap
             aligned[i, j] = abs(pair.heading_error_rad) <= gate_rad
-            if near[i, j]:
-                handicap = _TENTATIVE_HANDICAP_M * (lane.status == "tentative")
+            if pair.distance_m <= gate_m and pair.overlap >= min_overlap:
                 cost[i, j] = pair.distance_m + handicap
     matches = _assign(np.where(aligned, cost, _NO_MATCH))
     left_over = cost.copy()

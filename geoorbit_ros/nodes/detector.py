@@ -20,7 +20,7 @@ from sensor_msgs.msg import CompressedImage, Image, PointCloud2
 
 from geoorbit_ros.conversions import encode_table, pixel_polygon
 from geoorbit_ros.core.errors import GeoOrbitError, MessageError
-from geoorbit_ros.core.frame_order import FrameOrder, Verdict
+from geoorbit_ros.core.frame_order import Arrival, FrameOrder
 from geoorbit_ros.detection.detector import Detector, DetectorSettings, make_detector
 from geoorbit_ros.detection.road_segments import Contour, RoadSegments
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
@@ -241,11 +241,11 @@ class ImageStream:
 
     def _check_order(self, stamp_ns: int, place: str) -> None:
         last_ns = self._order.last_ns or stamp_ns
-        verdict = self._order.judge(stamp_ns)
-        if verdict is Verdict.LATE:
+        arrival = self._order.check(stamp_ns)
+        if arrival is Arrival.LATE:
             found = f"stamp {stamp_ns / 1e9:.9f} s after {last_ns / 1e9:.9f} s"
             raise MessageError(place, found, "stamps that increase")
-        if verdict is Verdict.RESTART:
+        if arrival is Arrival.RESTART:
             jump = f"time went back by {(last_ns - stamp_ns) / 1e9:.1f} s, starting anew"
             self._node.get_logger().info(f"{place}: {jump}")
             self._on_restart()

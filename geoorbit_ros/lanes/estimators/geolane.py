@@ -23,13 +23,20 @@ from geoorbit_ros.core.tables import TRACK_DTYPE
 from geoorbit_ros.lanes.parameters import LaneParameters
 
 BINS = 50
+"""Of the histogram, from the published configuration."""
 REFERENCE_SMOOTHING = 10.0
 """theta_smoothing at which the histogram has `BINS` bins."""
 KERNEL_SIGMA_BINS = 2.0
+"""Of the Gaussian that smooths the histogram, from the published configuration."""
 PEAK_DISTANCE_BINS = 3
+"""Least distance between peaks, from the published configuration."""
 CENTERLINE_POINTS = 30
+"""Points per lane, from the published configuration."""
 MIN_POINTS = 5
+"""A lane needs so many rows. A cubic spline needs four; chosen: more lose short tracks."""
 SPLINE_TRIES = 8
+"""How often the smoothing is doubled, up to 128 times the first. Chosen: more cost time, fewer lose
+lanes at the corners of theta."""
 MEMORY_S = 60.0
 """The paper's observation period."""
 

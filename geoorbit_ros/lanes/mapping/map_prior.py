@@ -19,17 +19,30 @@ from geoorbit_ros.core.lanes import Lane, LaneMap
 from geoorbit_ros.core.polylines import Projection, offset_line, project
 
 GATE_M = 1.75
+"""Half a lane width of 3.5 m: farther away is another lane of the map."""
 BESIDE_M = (2.3, 5.2)
-"""Middles of neighbouring lanes are this far apart."""
-FITS_M, WIDTH_FITS_M = 0.4, 0.25
-"""A map that is farther off has no say."""
+"""Middles of neighbouring lanes are this far apart. Chosen: lanes are 2.7 to 4.5 m wide (AASHTO
+Green Book; UK CD 127), both off by their errors; wider takes in lanes beyond a shoulder."""
+FITS_M = 0.4
+"""A map whose lanes are farther from the neighbours' measured places is not used. Chosen: larger
+uses wrong maps, smaller leaves good maps unused where lanes have been seen by few vehicles."""
+WIDTH_FITS_M = 0.25
+"""The same for measured widths. Chosen: larger uses wrong widths, smaller leaves good ones
+unused."""
 FLOOR_M = 0.15
-"""Nor does it ever count as better than this."""
+"""A map never counts as more exact than this. Chosen: larger lets the map move less, smaller lets
+it override lanes that were seen by many vehicles."""
 GUESS_M = 0.25
-"""Widths with a larger error have not been measured."""
+"""Widths with a larger error have not been measured: a lane without a neighbour has 0.3 m."""
 SIGMAS = 2.0
+"""A lane is moved to the map where both agree within so many sigma. Chosen: larger moves lanes to
+the wrong place, smaller moves few."""
 MIN_MEASURED = 2
+"""Measured widths that a map's widths are compared with. Chosen: more use the map more rarely, one
+may agree by chance."""
 PARALLEL = float(np.cos(np.radians(25.0)))
+"""Cosine of the largest angle between lanes that are one. Chosen: larger angles take ramps for the
+road beside them, smaller ones miss lanes in bends."""
 
 
 @dataclass(frozen=True, slots=True)

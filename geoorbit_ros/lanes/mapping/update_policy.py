@@ -28,24 +28,37 @@ from geoorbit_ros.lanes.parameters import LaneParameters
 
 GROWTH = 1.0
 """Share by which the evidence grows before a derivation. A centreline's error shrinks with the root
-of the traffic: twice as much sharpens it by a third, and less would hardly move it."""
+of the traffic: twice as much sharpens it by a third, and less would hardly move it (ADR 0011)."""
 LEAST_GROWTH = 0.05
 """The same where vehicles drive off the known lanes. Time per derivation grows with the evidence:
 a least share of it between two keeps the time per vehicle the same however long the camera runs."""
 NEAR_M = 1.5
-"""From a lane's middle; a vehicle farther away is beside the lane."""
+"""From a lane's middle; a vehicle farther away is beside the lane. Chosen: half a lane of 3 m;
+larger counts vehicles of the neighbour, smaller takes drivers off the middle for a new lane."""
 ALONG_RAD = 0.3
+"""A vehicle that drives at more than this to a lane is not in it. Chosen: larger counts crossing
+vehicles, smaller misses noisy tracks."""
 SAMPLE_M = 2.0
+"""Distance between the points of a lane that vehicles are compared with. Chosen: shorter costs
+time, longer makes lanes look farther away than they are."""
 SUPPORT_M = 12.0
-"""Travel in a lane that makes a vehicle one of its own; less where the lane is short."""
-STRAY_M = 25.0
-"""Travel off all known lanes that may be along an unknown one: broken tracks are shorter."""
+"""Travel in a lane that makes a vehicle one of its own; less where the lane is short. Chosen: more
+misses broken tracks, less counts vehicles that cross the lane."""
+OFF_LANE_M = 25.0
+"""Travel off all known lanes that may be along an unknown one: broken tracks are shorter. Chosen:
+longer finds new lanes later, shorter derives for lane changes."""
 CELL_M = 6.0
+"""Side of the squares in which off-lane vehicles are counted. Chosen: larger adds up vehicles of
+different ways, smaller needs more vehicles until four meet."""
 CELLS_PER_TURN = 8
-BUNDLE = 4
-"""Vehicles off the known lanes, all through one place, that may be a lane."""
+"""Directions that are counted apart: 45 degrees each. Chosen: fewer add up crossing ways, more
+split one way."""
+CLUSTER = 4
+"""Vehicles off the known lanes, all through one place, that may be a lane. Chosen: more find new
+lanes later, fewer derive for single drivers."""
 MORE = 4
-"""Times as many as before it takes where they made no lane: that place seldom makes one now."""
+"""Times as many as before it takes where they made no lane: that place seldom makes one now.
+Chosen: more find late lanes later, fewer derive in vain."""
 
 
 @dataclass(frozen=True)
@@ -113,13 +126,13 @@ class UpdatePolicy:
 
 
 class LaneCounter:
-    """Assigns passes to the lanes of one map, and counts them.
+    """Assigns segments to the lanes of one map, and counts them.
 
     Args:
         lanes: The map's lanes.
 
     Attributes:
-        vehicles: (L,) passes counted into each lane so far.
+        vehicles: (L,) segments counted into each lane so far.
     """
 
     def __init__(self, lanes: Sequence[Lane]) -> None:
@@ -132,22 +145,22 @@ class LaneCounter:
         lengths = np.array([lane.length_m for lane in lanes])
         self._wanted_m = np.minimum(SUPPORT_M, 0.5 * lengths)
 
-    def add(self, passes: TrajectorySegments) -> NDArray[np.int64]:
-        """Count new traffic; returns the nodes that are off the lanes, of passes long off them."""
-        if self._tree is None or len(passes) == 0:
-            return np.arange(len(passes.xy))
-        distance, at = self._tree.query(passes.xy, distance_upper_bound=NEAR_M)
+    def add(self, segments: TrajectorySegments) -> NDArray[np.int64]:
+        """Count new traffic; the nodes off the lanes, of segments that are off them for long."""
+        if self._tree is None or len(segments) == 0:
+            return np.arange(len(segments.xy))
+        distance, at = self._tree.query(segments.xy, distance_upper_bound=NEAR_M)
         near = np.isfinite(distance)
         at = np.where(near, at, 0)
-        near &= np.abs(wrap_rad(passes.heading - self._heading[at])) <= ALONG_RAD
-        step = np.append(0.0, step_m(*passes.xy.T))
-        step[passes.offset[:-1]] = 0.0
+        near &= np.abs(wrap_rad(segments.heading - self._heading[at])) <= ALONG_RAD
+        step = np.append(0.0, step_m(*segments.xy.T))
+        step[segments.offset[:-1]] = 0.0
         count = len(self.vehicles)
-        cell = passes.owner[near] * count + self._owner[at[near]]
-        travel = totals(cell, step[near], len(passes) * count).reshape(len(passes), count)
+        cell = segments.owner[near] * count + self._owner[at[near]]
+        travel = totals(cell, step[near], len(segments) * count).reshape(len(segments), count)
         self.vehicles += np.sum(travel >= self._wanted_m, axis=0)
-        away = totals(passes.owner, step * ~near, len(passes))
-        return np.flatnonzero(~near & (away >= STRAY_M)[passes.owner])
+        away = totals(segments.owner, step * ~near, len(segments))
+        return np.flatnonzero(~near & (away >= OFF_LANE_M)[segments.owner])
 
 
 class OffLaneVehicles:
@@ -157,20 +170,20 @@ class OffLaneVehicles:
         self._count: dict[tuple[int, ...], int] = {}
         self._known: dict[tuple[int, ...], int] = {}
 
-    def add(self, passes: TrajectorySegments, node: NDArray[np.int64]) -> bool:
-        """Count passes at their nodes `node` (M,), which are off the lanes.
+    def add(self, segments: TrajectorySegments, node: NDArray[np.int64]) -> bool:
+        """Count segments at their nodes `node` (M,), which are off the lanes.
 
         Returns:
             Whether there may be a lane now that the last derivation could not know of.
         """
-        sector = np.rint(passes.heading[node] * (CELLS_PER_TURN / (2.0 * np.pi))) % CELLS_PER_TURN
-        cell = np.column_stack([passes.owner[node], np.floor(passes.xy[node] / CELL_M), sector])
-        bundle = False
+        sector = np.rint(segments.heading[node] * (CELLS_PER_TURN / (2.0 * np.pi))) % CELLS_PER_TURN
+        cell = np.column_stack([segments.owner[node], np.floor(segments.xy[node] / CELL_M), sector])
+        cluster = False
         for _, *place in set(map(tuple, cell.astype(np.int64).tolist())):
             key = tuple(place)
             self._count[key] = self._count.get(key, 0) + 1
-            bundle |= self._count[key] == max(BUNDLE, MORE * self._known.get(key, 0))
-        return bundle
+            cluster |= self._count[key] == max(CLUSTER, MORE * self._known.get(key, 0))
+        return cluster
 
     def derived(self) -> None:
         """A map was derived from all traffic so far."""

@@ -12,7 +12,7 @@ from sensor_msgs.msg import PointCloud2
 
 from geoorbit_ros.conversions import decode_table
 from geoorbit_ros.core.errors import GeoOrbitError, MessageError
-from geoorbit_ros.core.frame_order import FrameOrder, Verdict
+from geoorbit_ros.core.frame_order import Arrival, FrameOrder
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.nodes.support.qos import stream_qos
 
@@ -81,11 +81,11 @@ class TableStream:
     def _handle(self, cdr: bytes) -> None:
         stamp_ns, self.frame_id, rows = decode_table(cdr, self._dtype, self._place)
         last_ns = self._order.last_ns or stamp_ns
-        verdict = self._order.judge(stamp_ns)
-        if verdict is Verdict.LATE:
+        arrival = self._order.check(stamp_ns)
+        if arrival is Arrival.LATE:
             found = f"stamp {stamp_ns / 1e9:.9f} s after {last_ns / 1e9:.9f} s"
             raise MessageError(self._place, found, "stamps that increase")
-        if verdict is Verdict.RESTART:
+        if arrival is Arrival.RESTART:
             jump = f"time went back by {(last_ns - stamp_ns) / 1e9:.1f} s, starting anew"
             self._node.get_logger().info(f"{self._place}: {jump}")
             self._on_restart()

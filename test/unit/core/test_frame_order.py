@@ -3,24 +3,24 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from geoorbit_ros.core.frame_order import FrameOrder, Verdict
+from geoorbit_ros.core.frame_order import Arrival, FrameOrder
 
 FRAME_NS = 33_333_333
 
 
-def fed(stamps: list[int], restart_jump_s: float = 1.0) -> tuple[FrameOrder, list[Verdict]]:
+def fed(stamps: list[int], restart_jump_s: float = 1.0) -> tuple[FrameOrder, list[Arrival]]:
     order = FrameOrder(restart_jump_s)
-    return order, [order.judge(stamp) for stamp in stamps]
+    return order, [order.check(stamp) for stamp in stamps]
 
 
 @given(st.lists(st.integers(0, 10**12), max_size=60))
 def test_frames_that_pass_increase_except_at_a_restart(stamps: list[int]) -> None:
-    _, verdicts = fed(stamps)
+    _, arrivals = fed(stamps)
     last = None
-    for stamp, verdict in zip(stamps, verdicts, strict=True):
-        if verdict is Verdict.NEXT:
+    for stamp, arrival in zip(stamps, arrivals, strict=True):
+        if arrival is Arrival.NEXT:
             assert last is None or stamp > last
-        elif verdict is Verdict.RESTART:
+        elif arrival is Arrival.RESTART:
             assert last is not None
             assert stamp < last - 10**9
         else:
@@ -31,7 +31,7 @@ def test_frames_that_pass_increase_except_at_a_restart(stamps: list[int]) -> Non
 
 
 def test_the_same_frame_twice_is_late() -> None:
-    assert fed([5, 5])[1] == [Verdict.NEXT, Verdict.LATE]
+    assert fed([5, 5])[1] == [Arrival.NEXT, Arrival.LATE]
 
 
 def test_a_stream_in_order_misses_nothing_although_it_jitters() -> None:
@@ -58,6 +58,6 @@ def test_a_camera_that_was_off_for_an_hour_lost_no_frames() -> None:
 
 def test_a_restart_is_no_gap() -> None:
     stamps = [k * FRAME_NS for k in range(100)]
-    order, verdicts = fed(stamps + stamps)
+    order, arrivals = fed(stamps + stamps)
     assert order.missing == 0
-    assert verdicts.count(Verdict.RESTART) == 1
+    assert arrivals.count(Arrival.RESTART) == 1

@@ -12,7 +12,7 @@ from geoorbit_ros.lanes.estimators.curvilinear.evidence import Evidence
 from geoorbit_ros.lanes.estimators.curvilinear.trajectory_segments import TrajectorySegments
 from geoorbit_ros.lanes.estimators.estimator import LaneEstimator
 from geoorbit_ros.lanes.mapping.mapper import LaneMapper
-from geoorbit_ros.lanes.mapping.update_policy import BUNDLE, MORE, LaneCounter, OffLaneVehicles
+from geoorbit_ros.lanes.mapping.update_policy import CLUSTER, MORE, LaneCounter, OffLaneVehicles
 from geoorbit_ros.lanes.parameters import LaneParameters
 
 LANE_M = 3.6
@@ -101,40 +101,40 @@ def test_geometry_stays_until_the_evidence_has_doubled() -> None:
     assert lines[2] != lines[1]
 
 
-def passes_at(y_m: float, count: int) -> TrajectorySegments:
+def segments_at(y_m: float, count: int) -> TrajectorySegments:
     """So many vehicles along one line, after each other."""
     evidence = Evidence()
     frames = traffic([Stream(straight(0.0, y_m), count, wander_m=0.0)], noise_m=0.01)
     for k, stamp_ns in enumerate(frames.stamp_ns):
         evidence.add(int(stamp_ns), frames.frame(k))
     evidence.add(int(frames.stamp_ns[-1]) + 10_000_000_000, frames.frame(0)[:0])
-    return evidence.passes()[0]
+    return evidence.segments()[0]
 
 
-def test_strays_are_news_when_several_take_the_same_way() -> None:
-    strays = OffLaneVehicles()
-    ways = [passes_at(20.0 * k, 1) for k in range(5)]
-    assert not any(strays.add(way, np.arange(len(way.xy))) for way in ways)
-    again = [strays.add(ways[0], np.arange(len(ways[0].xy))) for _ in range(BUNDLE - 1)]
-    assert again == [False] * (BUNDLE - 2) + [True]
+def test_off_lane_vehicles_are_news_when_several_take_the_same_way() -> None:
+    off_lane = OffLaneVehicles()
+    ways = [segments_at(20.0 * k, 1) for k in range(5)]
+    assert not any(off_lane.add(way, np.arange(len(way.xy))) for way in ways)
+    again = [off_lane.add(ways[0], np.arange(len(ways[0].xy))) for _ in range(CLUSTER - 1)]
+    assert again == [False] * (CLUSTER - 2) + [True]
 
 
-def test_strays_that_made_no_lane_are_news_when_many_more_come() -> None:
-    strays = OffLaneVehicles()
-    way = passes_at(0.0, 1)
+def test_off_lane_vehicles_that_made_no_lane_are_news_when_many_more_come() -> None:
+    off_lane = OffLaneVehicles()
+    way = segments_at(0.0, 1)
     news = []
-    for _ in range(BUNDLE * MORE):
-        news.append(strays.add(way, np.arange(len(way.xy))))
+    for _ in range(CLUSTER * MORE):
+        news.append(off_lane.add(way, np.arange(len(way.xy))))
         if news[-1]:
-            strays.derived()
-    assert [k + 1 for k, new in enumerate(news) if new] == [BUNDLE, BUNDLE * MORE]
+            off_lane.derived()
+    assert [k + 1 for k, new in enumerate(news) if new] == [CLUSTER, CLUSTER * MORE]
 
 
-def test_vehicles_in_known_lanes_are_counted_and_no_strays() -> None:
+def test_vehicles_in_known_lanes_are_counted_and_none_is_off_lane() -> None:
     mapper = mapper_of(CurvilinearEstimator())
     feed(mapper, traffic([Stream(straight(0.0, LANE_M * k), 20) for k in (0, 1)]), 0)
     counter = LaneCounter(mapper.finish().lanes)
-    known, unknown = passes_at(0.0, 4), passes_at(12.0, 2)
+    known, unknown = segments_at(0.0, 4), segments_at(12.0, 2)
     assert len(counter.add(known)) == 0
     assert sorted(counter.vehicles.tolist()) == [0, 4]
     assert len(counter.add(unknown)) == len(unknown.xy)

@@ -34,7 +34,7 @@ def line(d: NDArray[np.float64], support: NDArray[np.float64], first: int = 0) -
 
 
 def test_after_a_merge_the_lane_goes_on_and_the_ramp_ends() -> None:
-    # The crest of the through lane was lost where the ramp's came close; the ramp's went on.
+    # The ridge of the through lane was lost where the ramp's came close; the ramp's went on.
     through = ridge(0, np.zeros(20))
     ramp = ridge(
         0, np.concatenate([np.linspace(-6.0, -1.8, 20), np.linspace(-1.6, 0.0, 6), np.zeros(14)])

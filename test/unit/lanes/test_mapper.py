@@ -71,17 +71,17 @@ def test_same_frames_give_the_same_bits() -> None:
 
 
 def test_memory_is_bounded_and_the_newest_traffic_stays() -> None:
-    evidence = Evidence(max_passes=20)
+    evidence = Evidence(max_segments=20)
     frames = traffic([Stream(straight(), 30)], duration_s=60.0)
     for lap in range(5):
         for k, stamp_ns in enumerate(frames.stamp_ns):
             rows = frames.frame(k).copy()
             rows["track_id"] += 1000 * lap
             evidence.add(lap * 80_000_000_000 + int(stamp_ns), rows)
-        passes, worth = evidence.passes()
-        assert len(passes) <= 20 + 5
-        assert passes.time_s.max() > 80.0 * lap
-        assert np.all((worth > 0.0) & (worth <= 1.0))
+        segments, weight = evidence.segments()
+        assert len(segments) <= 20 + 5
+        assert segments.time_s.max() > 80.0 * lap
+        assert np.all((weight > 0.0) & (weight <= 1.0))
 
 
 def test_old_evidence_decays() -> None:
@@ -90,9 +90,9 @@ def test_old_evidence_decays() -> None:
     for k, stamp_ns in enumerate(frames.stamp_ns):
         evidence.add(int(stamp_ns), frames.frame(k))
     evidence.add(int(frames.stamp_ns[-1]) + 200_000_000_000, frames.frame(0)[:0])
-    passes, worth = evidence.passes()
-    assert len(passes) == 5
-    assert np.all(worth <= 0.27)
+    segments, weight = evidence.segments()
+    assert len(segments) == 5
+    assert np.all(weight <= 0.27)
 
 
 @pytest.mark.parametrize("period_s", [0.0, -1.0, float("nan")])

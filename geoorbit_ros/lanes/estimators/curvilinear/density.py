@@ -1,4 +1,4 @@
-"""Density of traffic over a corridor's (s, d), and the crests in it."""
+"""Density of traffic over a corridor's (s, d), and its maxima across the road."""
 
 from __future__ import annotations
 
@@ -12,10 +12,16 @@ from geoorbit_ros.lanes.estimators.curvilinear.grouped import totals
 from geoorbit_ros.lanes.estimators.curvilinear.profiles import Profiles
 
 BIN_M = 0.2
+"""Width of a bin across the road. Chosen: less than half the lateral blur, so that the bins' edges
+hardly show; smaller costs time."""
 ALONG_BLUR_STATIONS = 2.0
+"""1-sigma blur along the road, half a road scale. Chosen: larger hides where lanes begin, smaller
+leaves ridges with gaps where few vehicles drive."""
 ALONG_REACH = 4
+"""Stations to either side that the blur reaches: two sigma. Chosen: more cost time, fewer cut the
+Gaussian off."""
 SPAN_M = 1000.0
-"""Wider than any corridor: orders crests by station, then by offset, in one number."""
+"""Wider than any corridor: orders maxima by station, then by offset, in one number."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +29,7 @@ class Density:
     """Vehicles per metre of width, (J stations, B bins).
 
     Attributes:
-        offset_m: (B,) bin centres, metres left of the spine.
+        offset_m: (B,) bin centres, metres left of the reference line.
         value: (J, B).
     """
 
@@ -32,12 +38,12 @@ class Density:
 
 
 @dataclass(frozen=True, slots=True)
-class Crests:
+class Maxima:
     """Prominent maxima across the road, ordered by station, then by offset.
 
     Attributes:
-        station: (C,) where each crest is.
-        d: (C,) offset, metres left of the spine.
+        station: (C,) where each maximum is.
+        d: (C,) offset, metres left of the reference line.
         height: (C,) vehicles per metre.
     """
 
@@ -48,7 +54,7 @@ class Crests:
     def nearest(
         self, station: NDArray[np.int64], d: NDArray[np.float64]
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """The crest nearest to each place (N,) and its distance, huge when there is none."""
+        """The maximum nearest to each place (N,) and its distance, huge when there is none."""
         key, wanted = self.station * SPAN_M + self.d, station * SPAN_M + d
         above = np.minimum(np.searchsorted(key, wanted), len(key) - 1)
         below = np.maximum(above - 1, 0)
@@ -71,7 +77,7 @@ class Raster:
         share = np.exp(-0.5 * (shift / ALONG_BLUR_STATIONS) ** 2)
         drift_m = profiles.slope * profiles.step_m[profiles.station]
         at = profiles.d + np.multiply.outer(shift, drift_m)
-        # Bin edges are tied to the data, not to the spine: a shifted spine gives shifted bins.
+        # Bins begin at the data, so that a shifted reference line shifts them and nothing else.
         margin = 3.0 * blur_m + 2.0 * BIN_M
         # Detections may be so patchy that no vehicle tells anything at any station.
         low, high = (float(at.min()), float(at.max())) if at.size else (0.0, 0.0)
@@ -100,18 +106,18 @@ class Raster:
         return Density(self._offset_m, image / BIN_M)
 
 
-def find_crests(density: Density, min_height: float, prominence: float) -> Crests:
+def find_maxima(density: Density, min_height: float, prominence: float) -> Maxima:
     """Maxima across the road that stand out from their neighbours.
 
     Args:
         density: Vehicles per metre over (s, d).
-        min_height: Crests lower than this are noise, vehicles per metre.
+        min_height: Maxima lower than this are noise, vehicles per metre.
         prominence: Of two neighbours the lower one must rise above the saddle by this share.
     """
     value = density.value
     inner = value[:, 1:-1]
-    crest = (inner > value[:, :-2]) & (inner >= value[:, 2:]) & (inner >= min_height)
-    station, column = np.nonzero(crest)
+    maximum = (inner > value[:, :-2]) & (inner >= value[:, 2:]) & (inner >= min_height)
+    station, column = np.nonzero(maximum)
     column += 1
     flat, bins = value.ravel(), value.shape[1]
     k = station * bins + column
@@ -120,7 +126,7 @@ def find_crests(density: Density, min_height: float, prominence: float) -> Crest
         saddle = np.minimum.reduceat(flat, k)[:-1]
         depth = 1.0 - saddle / np.minimum(height[:-1], height[1:])
         depth[np.diff(k // bins) != 0] = np.inf
-        # The shallowest saddle among its neighbours goes first, and with it the lower crest.
+        # The shallowest saddle among its neighbours goes first, and with it the lower maximum.
         least = depth < prominence
         least[1:] &= depth[1:] <= depth[:-1]
         least[:-1] &= depth[:-1] < depth[1:]
@@ -133,4 +139,4 @@ def find_crests(density: Density, min_height: float, prominence: float) -> Crest
     below, at, above = flat[k - 1], flat[k], flat[k + 1]
     curve = np.minimum(below - 2.0 * at + above, -1e-12)
     shift = np.clip(0.5 * (below - above) / curve, -0.5, 0.5)
-    return Crests(k // bins, density.offset_m[k % bins] + BIN_M * shift, at)
+    return Maxima(k // bins, density.offset_m[k % bins] + BIN_M * shift, at)

@@ -1,7 +1,7 @@
-"""The lane estimator that users get: lanes as crests of traffic density along curved roads.
+"""The lane estimator that users get: lanes as ridges of traffic density along curved roads.
 
-Per update: passes (condensed tracks) -> corridors (streams with a reference curve) -> lateral
-profiles -> density over (s, d) -> crests -> members -> centrelines -> widths. Nothing in it knows
+Per update: segments (condensed tracks) -> corridors (streams with a reference line) -> lateral
+profiles -> density over (s, d) -> ridges -> members -> centrelines -> widths. Nothing in it knows
 an axis: it depends on distances and angles between vehicles alone.
 """
 
@@ -20,14 +20,15 @@ from geoorbit_ros.lanes.estimators.curvilinear.candidates import find_candidates
 from geoorbit_ros.lanes.estimators.curvilinear.corridors import Corridor, find_corridors
 from geoorbit_ros.lanes.estimators.curvilinear.evidence import Evidence
 from geoorbit_ros.lanes.estimators.curvilinear.profiles import lateral_profiles
-from geoorbit_ros.lanes.estimators.curvilinear.reference_line import Spine
+from geoorbit_ros.lanes.estimators.curvilinear.reference_line import ReferenceLine
 from geoorbit_ros.lanes.estimators.curvilinear.shapes import cross_sections, shape_lanes
 from geoorbit_ros.lanes.estimators.curvilinear.trajectory_segments import TrajectorySegments
 from geoorbit_ros.lanes.estimators.estimator import State
 from geoorbit_ros.lanes.parameters import LaneParameters
 
 RETRACE = 0.1
-"""Share of the evidence that must be new for the reference curves to be traced anew."""
+"""Share of the evidence that must be new for the reference lines to be traced anew. Chosen: larger
+keeps early lines of few vehicles longer, smaller costs time at every derivation."""
 
 
 @register("estimator", "curvilinear")
@@ -40,8 +41,8 @@ class CurvilinearEstimator:
 
     def __init__(self) -> None:
         self._evidence = Evidence()
-        self._spines: list[tuple[Spine, float]] = []
-        self._known: list[tuple[Spine, float]] = []
+        self._lines: list[tuple[ReferenceLine, float]] = []
+        self._known: list[tuple[ReferenceLine, float]] = []
         self._traced = 0
         self._new_rows = True
 
@@ -55,21 +56,21 @@ class CurvilinearEstimator:
 
         The cross-sections are those of lanes that need no history to be shown.
         """
-        passes, worth = self._evidence.passes()
+        segments, weight = self._evidence.segments()
         stamp_ns = self._evidence.stamp_ns
-        if len(passes) == 0:
+        if len(segments) == 0:
             return LaneMap(stamp_ns, ())
-        corridors = self._corridors(passes)
+        corridors = self._corridors(segments)
         if not corridors:
             return LaneMap(stamp_ns, ())
-        profiles = lateral_profiles(corridors, passes, worth)
-        traced = find_ridges(profiles, passes.large[profiles.passes], parameters)
+        profiles = lateral_profiles(corridors, segments, weight)
+        traced = find_ridges(profiles, segments.large[profiles.segment], parameters)
         candidates = find_candidates(profiles, traced)
         shapes = shape_lanes(candidates, corridors, profiles, parameters.width_scale)
         lanes = [assess(lane, c.evidence) for lane, c in zip(shapes, candidates, strict=True)]
         strong = [c for lane, c in zip(lanes, candidates, strict=True) if lane.confidence >= SHOW]
         sections = cross_sections(strong, corridors, profiles, traced.density)
-        return LaneMap(stamp_ns, tuple(lanes), sections, segments=len(passes))
+        return LaneMap(stamp_ns, tuple(lanes), sections, segments=len(segments))
 
     def finished_segments(self) -> int:
         """How many trajectory segments have ended so far, forgotten ones included."""
@@ -92,14 +93,14 @@ class CurvilinearEstimator:
         self._new_rows = True
         self._evidence.restore(state, stamp_ns)
 
-    def _corridors(self, passes: TrajectorySegments) -> list[Corridor]:
-        """Corridors along the known reference curves; these are traced anew as evidence grows."""
+    def _corridors(self, segments: TrajectorySegments) -> list[Corridor]:
+        """Corridors along the known reference lines; these are traced anew as evidence grows."""
         if self._new_rows:
             self._new_rows = False
             finished = self._evidence.finished()
-            retrace = not self._spines or finished - self._traced >= RETRACE * len(passes)
+            retrace = not self._lines or finished - self._traced >= RETRACE * len(segments)
             self._traced = finished if retrace else self._traced
-            self._known = [] if retrace else self._spines
-        corridors = find_corridors(passes, self._known)
-        self._spines = [(c.spine, c.speed_mps) for c in corridors]
+            self._known = [] if retrace else self._lines
+        corridors = find_corridors(segments, self._known)
+        self._lines = [(c.reference_line, c.speed_mps) for c in corridors]
         return corridors

@@ -1,4 +1,4 @@
-"""Evidence: the passes a camera remembers, in bounded memory, however long it runs."""
+"""Evidence: the segments a camera remembers, in bounded memory, however long it runs."""
 
 from __future__ import annotations
 
@@ -22,34 +22,39 @@ from geoorbit_ros.lanes.estimators.curvilinear.trajectory_segments import (
     TrajectorySegments,
     concatenate,
     condense,
-    empty_passes,
     newest,
+    no_segments,
     select,
 )
 from geoorbit_ros.lanes.estimators.estimator import State
 
-MAX_PASSES = 1500
-"""Newest passes kept: ten minutes of a busy motorway, most of a day on a quiet road."""
+MAX_SEGMENTS = 1500
+"""Newest segments kept: ten minutes of a busy motorway, most of a day on a quiet road. Chosen: more
+make centrelines steadier but derivations slower and changes of the road later to show."""
 MAX_SURPLUS = 1.2
-"""They are trimmed when there are so many times as many, not at each new one."""
+"""They are trimmed when there are so many times as many, not at each new one. Chosen: larger takes
+more memory, smaller copies more often."""
 HALF_LIFE_S = 6 * 3600.0
-"""Time after which a pass counts half: a work zone shows by the next rush hour."""
+"""Time after which a segment counts half: a work zone shows by the next rush hour. Chosen: longer
+follows changes later, shorter forgets lanes over a quiet night."""
 FRAME_PERIOD_S = 1.0 / 15.0
-"""One frame per period is enough: what is wrong with a box is alike from frame to frame."""
+"""One frame per period is enough: what is wrong with a box is alike from frame to frame. Chosen:
+longer leaves fast vehicles few rows, shorter costs time."""
 MAX_SIGMA_M = 2.0
-"""Rows less certain than this tell nothing about lanes."""
+"""Rows less certain than this tell nothing about lanes. Chosen: half a lane and a little; larger
+blurs neighbouring lanes, smaller ends lanes nearer to the camera."""
 
 
 class Evidence:
-    """Collects track rows and turns finished tracks into passes."""
+    """Collects track rows and turns finished tracks into segments."""
 
     def __init__(
         self,
-        max_passes: int = MAX_PASSES,
+        max_segments: int = MAX_SEGMENTS,
         half_life_s: float = HALF_LIFE_S,
         max_sigma_m: float = MAX_SIGMA_M,
     ) -> None:
-        self._max_passes = max_passes
+        self._max_passes = max_segments
         self._half_life_s = half_life_s
         self._max_sigma_m = max_sigma_m
         self._epoch_ns: int | None = None
@@ -58,7 +63,7 @@ class Evidence:
         self._chunks: list[bytes] = []
         self._frame = (-1.0, -1.0)
         self._open = no_rows()
-        self._finished = [empty_passes()]
+        self._finished = [no_segments()]
         self._finished_ever = 0
 
     @property
@@ -71,20 +76,20 @@ class Evidence:
         self._stamps.append(stamp_ns)
         self._chunks.append(rows.tobytes())
 
-    def passes(self) -> tuple[TrajectorySegments, NDArray[np.float64]]:
-        """All passes, finished ones first, and the worth (P,) of each by its age."""
+    def segments(self) -> tuple[TrajectorySegments, NDArray[np.float64]]:
+        """All segments, finished ones first, and the weight (P,) of each by its age."""
         now_s = self.settle()
         self._finished = [self._trim(concatenate(self._finished), now_s)]
         every = concatenate([*self._finished, condense(self._open)])
-        return every, self._worth(every, now_s)
+        return every, self._weight(every, now_s)
 
     def finished(self) -> int:
-        """Passes finished since the beginning, those forgotten included."""
+        """Segments finished since the beginning, those forgotten included."""
         self.settle()
         return self._finished_ever
 
     def finished_after(self, count: int, stamp_ns: int) -> TrajectorySegments:
-        """Passes finished after the first `count` that also began after `stamp_ns`."""
+        """Segments finished after the first `count` that also began after `stamp_ns`."""
         wanted, parts = self.finished() - count, list[TrajectorySegments]()
         for part in reversed(self._finished):
             if sum(map(len, parts)) >= wanted:
@@ -98,7 +103,7 @@ class Evidence:
         """What is remembered, but for vehicles still in view."""
         self.settle()
         times = np.array([self._epoch_ns or 0, self._now_ns, self._finished_ever], np.int64)
-        return pack_passes(concatenate(self._finished)) | {"evidence": times}
+        return pack_segments(concatenate(self._finished)) | {"evidence": times}
 
     def restore(self, state: Mapping[str, NDArray[Any]], stamp_ns: int) -> None:
         """Go on from `state` with a frame at `stamp_ns`; where that is earlier, time is moved.
@@ -106,13 +111,13 @@ class Evidence:
         Raises:
             KeyError, ValueError: Not such a state.
         """
-        self._finished = [unpack_passes(state)]
+        self._finished = [unpack_segments(state)]
         epoch_ns, now_ns, self._finished_ever = (int(value) for value in state["evidence"])
         self._now_ns = min(now_ns, stamp_ns - 1)
         self._epoch_ns = epoch_ns + self._now_ns - now_ns
 
     def settle(self) -> float:
-        """Move tracks that have ended from rows to passes; return the time in seconds."""
+        """Move tracks that have ended from rows to segments; return the time in seconds."""
         news = bool(self._chunks)
         rows = self._open.followed_by(self._fresh_rows())
         now_s = (self._now_ns - (self._epoch_ns or 0)) * 1e-9
@@ -160,39 +165,41 @@ class Evidence:
         self._stamps, self._chunks = [], []
         return usable_rows(np.repeat(time_s[index], counts), rows, self._max_sigma_m)
 
-    def _worth(self, passes: TrajectorySegments, now_s: float) -> NDArray[np.float64]:
-        end = passes.time_s[passes.offset[1:] - 1] if len(passes) else np.empty(0)
+    def _weight(self, segments: TrajectorySegments, now_s: float) -> NDArray[np.float64]:
+        end = segments.time_s[segments.offset[1:] - 1] if len(segments) else np.empty(0)
         return np.asarray(0.5 ** ((now_s - end) / self._half_life_s))
 
-    def _trim(self, passes: TrajectorySegments, now_s: float) -> TrajectorySegments:
-        worth = self._worth(passes, now_s)
-        keep = worth > 0.02
+    def _trim(self, segments: TrajectorySegments, now_s: float) -> TrajectorySegments:
+        weight = self._weight(segments, now_s)
+        keep = weight > 0.02
         if keep.sum() > self._max_passes:
-            keep &= worth >= np.partition(worth, -self._max_passes)[-self._max_passes]
-        return passes if keep.all() else select(passes, keep)
+            keep &= weight >= np.partition(weight, -self._max_passes)[-self._max_passes]
+        return segments if keep.all() else select(segments, keep)
 
 
-def pack_passes(passes: TrajectorySegments) -> State:
+def pack_segments(segments: TrajectorySegments) -> State:
     """The arrays of `TrajectorySegments`."""
     return {
-        "passes_xy": passes.xy,
-        "passes_sigma": passes.sigma,
-        "passes_heading": passes.heading,
-        "passes_time_s": passes.time_s,
-        "passes_offset": passes.offset,
-        "passes_large": passes.large,
+        "segments_xy": segments.xy,
+        "segments_sigma": segments.sigma,
+        "segments_heading": segments.heading,
+        "segments_time_s": segments.time_s,
+        "segments_offset": segments.offset,
+        "segments_large": segments.large,
     }
 
 
-def unpack_passes(state: Mapping[str, NDArray[Any]]) -> TrajectorySegments:
-    """The inverse of `pack_passes`.
+def unpack_segments(state: Mapping[str, NDArray[Any]]) -> TrajectorySegments:
+    """The inverse of `pack_segments`.
 
     Raises:
         KeyError, ValueError: Arrays that are missing or don't fit together.
     """
     names = ("xy", "sigma", "heading", "time_s", "offset", "large")
-    passes = TrajectorySegments(*(state[f"passes_{name}"] for name in names))
-    nodes = int(passes.offset[-1])
-    if passes.xy.shape != (nodes, 2) or len(passes.large) != len(passes):
-        raise ValueError(f"{len(passes)} passes, {passes.xy.shape} nodes, offset ends at {nodes}")
-    return passes
+    segments = TrajectorySegments(*(state[f"segments_{name}"] for name in names))
+    nodes = int(segments.offset[-1])
+    if segments.xy.shape != (nodes, 2) or len(segments.large) != len(segments):
+        raise ValueError(
+            f"{len(segments)} segments, {segments.xy.shape} nodes, offset ends at {nodes}"
+        )
+    return segments

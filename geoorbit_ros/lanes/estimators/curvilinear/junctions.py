@@ -9,26 +9,29 @@ from geoorbit_ros.lanes.estimators.curvilinear.grouped import quantile
 from geoorbit_ros.lanes.estimators.curvilinear.ridges import MIN_SPACING_M, MIN_STATIONS, Ridge
 
 BESIDE_M = 5.5
-"""Ridges closer than this are neighbouring lanes."""
+"""Ridges closer than this are neighbouring lanes. Chosen: wider than any lane (4.5 m) with its
+drivers' offsets; larger takes lanes beyond a shoulder for neighbours."""
 PARALLEL = 0.02
-"""Typical slope between two ridges that are lanes of one road."""
-
+"""Slope between two ridges up to which they are lanes of one road: 1 m in 50 m. Chosen: larger
+takes ramps for lanes beside the road, smaller misses lanes whose width changes."""
 SPLIT_M = 1.5 * MIN_SPACING_M
-"""Two ridges' spacing where their crests melt into one, at most."""
+"""Largest spacing of two ridges where they join into one. Chosen: larger joins lanes that only run
+near each other, smaller misses a split of wide lanes."""
 LANE_CHANGE = 5 * MIN_STATIONS
-"""Stations, over three seconds of travel, within which vehicles have changed lanes."""
+"""Stations, over three seconds of travel, within which vehicles have changed lanes. Chosen: longer
+compares with the road farther on, shorter with vehicles still on their way across."""
 
 
 def hand_over(ridges: list[Ridge], stations: int) -> list[Ridge]:
     """Where two ridges run together, give what follows to the one that goes straight on.
 
-    At a merge the crests of ramp and lane melt into one, and the tracing may leave the common
-    crest to the ramp. Seen against the traffic, the same happens at a diverge. Where one lane
-    becomes two, neither may go straight: it is a coin's toss which of them gets the crest of the
-    one lane, unless it is given to the one that keeps its offset from the road.
+    At a merge the ridges of ramp and lane join into one, and the tracing may leave the common
+    part to the ramp. Seen against the traffic, the same happens at a diverge. Where one lane
+    becomes two, neither may go straight: by chance either could get the ridge of the
+    one lane, so it is given to the one that keeps its offset from the road.
 
     Args:
-        ridges: Traced crests.
+        ridges: As traced.
         stations: Number of stations of the corridor.
     """
     forward = _give_tails(ridges)
@@ -39,7 +42,7 @@ def hand_over(ridges: list[Ridge], stations: int) -> list[Ridge]:
 def lane_directions(ridges: list[Ridge], step_m: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     """Slope dd/ds of driving along each ridge.
 
-    Where vehicles leave or enter a lane side by side with another, the crest follows them; there
+    Where vehicles leave or enter a lane side by side with another, the ridge follows them; there
     the lane's direction is that of its strongest parallel neighbour.
 
     Args:
@@ -133,7 +136,7 @@ def _junction(ending: Ridge, going: Ridge) -> int | None:
     end = ending.end
     if abs(going.d[end - 1 - going.first] - ending.d[-1]) > MIN_SPACING_M:
         return None
-    # The last stations before the crests melt are already drawn to each other.
+    # The last stations before the ridges join are already drawn to each other.
     later = np.arange(end, min(going.end, end + LANE_CHANGE))
     after = going.d[later - going.first]
     own = np.abs(after - _continued(going, going.first, end - MIN_STATIONS, later))
@@ -145,9 +148,9 @@ def _junction(ending: Ridge, going: Ridge) -> int | None:
 
 
 def _split(ending: Ridge, going: Ridge) -> int | None:
-    """Station from which on the common crest is the lane of `ending`, if it keeps nearer to it.
+    """Station from which on the common ridge is the lane of `ending`, if it keeps nearer to it.
 
-    Vehicles on their way across draw out the crest's bend, so that neither ridge leads straight to
+    Vehicles on their way across draw out the ridge's bend, so that neither ridge leads straight to
     it. Offsets are compared before the ridges bend and after.
     """
     end = ending.end

@@ -13,18 +13,24 @@ from geoorbit_ros.lanes.estimators.curvilinear.profiles import STATIONS_PER_SCAL
 from geoorbit_ros.lanes.estimators.curvilinear.ridges import MIN_SPACING_M, Ridge, table
 
 MAX_OFFSET_M = 0.5 * MIN_SPACING_M
+"""From the ridge to a vehicle in the lane: half-way to the nearest neighbour that may be."""
 SIDEWAYS_M = 0.5
-"""A vehicle that moves sideways by more than this over one road scale is changing lanes."""
+"""A vehicle that moves sideways by more than this over one road scale is changing lanes. Chosen:
+larger lets lane changes bend a lane, smaller throws out vehicles of noisy tracks."""
 SIDEWAYS_ALONE_M = 1.5
-"""The same where no other lane is near, so that only the slope's own error matters."""
+"""The same where no other lane is near, so that only the slope's own error matters. Chosen:
+larger takes crossing vehicles in, smaller throws out noisy tracks."""
 MIN_SUPPORT = 0.6
-"""Length in road scales that a vehicle must be seen in a lane to be its member."""
+"""Length in road scales that a vehicle must be seen in a lane to be its member. Chosen:
+longer loses lanes at the edge of the view, shorter counts vehicles that cross the lane."""
 FULL_SUPPORT = 1.25
-"""Length in road scales over which a vehicle must be seen in a lane to count in full."""
+"""Length in road scales over which a vehicle must be seen in a lane to count in full. Chosen:
+longer confirms short lanes later, shorter counts scraps of tracks as vehicles."""
 BAND_M = 6.0
-"""Half-width of the band, a lane and its neighbours, in which traffic is compared."""
+"""Half-width of the band, a lane and its neighbours, in which traffic is compared. Chosen: wider
+compares with other lanes than the neighbours, narrower with the lane alone."""
 SAME_VEHICLE_S = 0.6
-"""Headways in one lane are longer than this (HCM: saturation headway about 2 s), so two passes
+"""Headways in one lane are longer than this (HCM: saturation headway about 2 s), so two segments
 closer in time are one vehicle whose track was broken or doubled."""
 
 
@@ -64,7 +70,7 @@ def find_members(
         directions: Slope dd/ds that driving along each of them has at each of its stations.
         alone: Whether no other lane is beside it, so that sideways movement is no lane change.
     """
-    stations, rows = len(profiles.station_m), len(profiles.passes)
+    stations, rows = len(profiles.station_m), len(profiles.segment)
     middle = table(ridges, [r.d for r in ridges], stations, np.inf)
     direction = table(ridges, directions, stations, 0.0)
     near = [
@@ -150,7 +156,7 @@ def _distinct(
     sample: NDArray[np.int64],
     member: NDArray[np.bool_],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Vehicles per lane among passes, told apart by when each is at the corridor's middle.
+    """Vehicles per lane among segments, told apart by when each is at the corridor's middle.
 
     Args:
         profiles: All vehicles.
@@ -159,7 +165,7 @@ def _distinct(
         sample: Its sample.
         member: (R V,) which rows are members of which lanes.
     """
-    rows = len(profiles.passes)
+    rows = len(profiles.segment)
     pair = np.flatnonzero(member)
     if len(pair) == 0:
         return np.zeros(len(ridges)), np.zeros(len(ridges))

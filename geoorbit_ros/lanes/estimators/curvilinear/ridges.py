@@ -1,4 +1,4 @@
-"""Ridges: candidate lanes, traced along the crests of the density from station to station."""
+"""Ridges: candidate lanes, maxima of the density, linked from station to station."""
 
 from __future__ import annotations
 
@@ -9,15 +9,18 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.lanes.estimators.curvilinear.density import Crests
+from geoorbit_ros.lanes.estimators.curvilinear.density import Maxima
 from geoorbit_ros.lanes.estimators.curvilinear.grouped import totals
 from geoorbit_ros.lanes.estimators.curvilinear.profiles import Profiles
 
 LINK_M = 1.0
-"""A crest is found within this of where its slope leads from one station to the next."""
+"""A maximum is found within this of where its slope leads from one station to the next.
+Chosen: larger links neighbouring lanes, smaller breaks ridges of noisy tracks."""
 MIN_SPACING_M = 2.4
-"""Closer bundles are one lane: lanes are 2.7 to 4.5 m wide (AASHTO Green Book; UK CD 127)."""
+"""Closer clusters are one lane: lanes are 2.7 to 4.5 m wide (AASHTO Green Book; UK CD 127)."""
 MIN_STATIONS = 4
+"""Shortest ridge: one road scale. Chosen: longer misses lanes at the edge of the view, shorter
+keeps noise."""
 
 
 @dataclass(frozen=True)
@@ -44,19 +47,19 @@ class Ridge:
         return float(self.height.sum())
 
 
-def trace_ridges(crests: Crests, profiles: Profiles, weight: NDArray[np.float64]) -> list[Ridge]:
-    """Link crests from station to station, in the direction of the traffic under each.
+def trace_ridges(maxima: Maxima, profiles: Profiles, weight: NDArray[np.float64]) -> list[Ridge]:
+    """Link maxima from station to station, in the direction of the traffic under each.
 
     Args:
-        crests: Crests of the density.
+        maxima: Those of the density.
         profiles: What the density was made of.
         weight: (S,) how much each sample counted in it.
     """
-    if len(crests.d) == 0:
+    if len(maxima.d) == 0:
         return []
-    lead = _slopes(crests, profiles, weight) * profiles.step_m[crests.station]
-    after, miss = crests.nearest(crests.station + 1, crests.d + lead)
-    before, _ = crests.nearest(crests.station - 1, crests.d - lead)
+    lead = _slopes(maxima, profiles, weight) * profiles.step_m[maxima.station]
+    after, miss = maxima.nearest(maxima.station + 1, maxima.d + lead)
+    before, _ = maxima.nearest(maxima.station - 1, maxima.d - lead)
     mine = np.arange(len(after))
     linked = (miss <= LINK_M) & (before[after] == mine) & (after != mine)
     follower = np.where(linked, after, -1)
@@ -64,20 +67,20 @@ def trace_ridges(crests: Crests, profiles: Profiles, weight: NDArray[np.float64]
     is_first[after[linked]] = False
     follows = follower.tolist()
     ridges = []
-    for crest in np.flatnonzero(is_first).tolist():
-        chain = [crest]
-        while (crest := follows[crest]) >= 0:
-            chain.append(crest)
-        ridges.append(Ridge(int(crests.station[chain[0]]), crests.d[chain], crests.height[chain]))
+    for maximum in np.flatnonzero(is_first).tolist():
+        chain = [maximum]
+        while (maximum := follows[maximum]) >= 0:
+            chain.append(maximum)
+        ridges.append(Ridge(int(maxima.station[chain[0]]), maxima.d[chain], maxima.height[chain]))
     return [r for r in _bridge(ridges) if len(r.d) >= MIN_STATIONS]
 
 
-def _slopes(crests: Crests, profiles: Profiles, weight: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(C,) mean dd/ds of the vehicles on each crest; 0, the spine's own, where there are none."""
-    crest, away = crests.nearest(profiles.station, profiles.d)
+def _slopes(maxima: Maxima, profiles: Profiles, weight: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(C,) mean dd/ds of the vehicles at each maximum; 0, along the reference line, without any."""
+    maximum, away = maxima.nearest(profiles.station, profiles.d)
     weight = weight * (away <= 0.5 * MIN_SPACING_M)
-    total = totals(crest, weight, len(crests.d))
-    return totals(crest, weight * profiles.slope, len(crests.d)) / np.maximum(total, 1e-9)
+    total = totals(maximum, weight, len(maxima.d))
+    return totals(maximum, weight * profiles.slope, len(maxima.d)) / np.maximum(total, 1e-9)
 
 
 def separate(ridges: list[Ridge]) -> list[Ridge]:
@@ -106,7 +109,7 @@ def separate(ridges: list[Ridge]) -> list[Ridge]:
 
 
 def _bridge(ridges: list[Ridge]) -> list[Ridge]:
-    """Join ridges that continue each other across a stretch where the crest was lost."""
+    """Join ridges that continue each other across a stretch where the maxima were lost."""
     parts = sorted(ridges, key=lambda r: (r.first, r.d[0]))
     done: list[Ridge] = []
     while parts:

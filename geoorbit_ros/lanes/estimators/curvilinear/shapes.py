@@ -35,7 +35,7 @@ def shape_lanes(
     for i, candidate in enumerate(candidates):
         s, d = profiles.station_m[candidate.line.station], candidate.line.d
         half = 0.5 * width_scale * float(width[i])
-        points = corridors[candidate.corridor].spine.to_map(
+        points = corridors[candidate.corridor].reference_line.to_map(
             np.concatenate([s, s, s]), np.concatenate([d, d + half, d - half])
         )
         centre, left, right = points.reshape(3, len(d), 2)
@@ -71,7 +71,7 @@ def cross_sections(
             if candidate.corridor == k:
                 seen[candidate.line.station] += candidate.vehicles
         at = np.flatnonzero(seen == seen.max())
-        heading = corridors[k].spine.heading_at(profiles.station_m[at])
+        heading = corridors[k].reference_line.heading_at(profiles.station_m[at])
         peaks = [
             float(line.d[here].mean())
             for line in lines

@@ -17,6 +17,8 @@ from geoorbit_ros.core.tables import (
 )
 
 MIN_SIGMA_M = 0.02
+"""Least error of a row, so that a track that says 0 does not outweigh all others. Chosen: larger
+levels exact tracks, smaller lets one row decide alone."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,6 @@
-"""Vehicle passes: tracks cleaned of stops, jumps and reversals, condensed to a few nodes each.
+"""Trajectory segments: tracks cleaned of stops, jumps and reversals, condensed to a few nodes each.
 
-A pass is one vehicle's smooth travel through the view. Detections of one vehicle are strongly
+A segment is one vehicle's smooth travel through the view. Detections of one vehicle are strongly
 correlated, so the frames of a fifth of a second are averaged into one node: thirty times less data
 and no information lost about where the lane is.
 """
@@ -17,26 +17,40 @@ from geoorbit_ros.lanes.estimators.curvilinear.grouped import changes, lengths
 from geoorbit_ros.lanes.estimators.curvilinear.track_rows import TrackRows
 
 MAX_GAP_S = 1.5
-"""A track silent for longer is taken for two vehicles: ids are reused after occlusions."""
+"""A track silent for longer is taken for two vehicles: ids are reused after occlusions.
+Chosen: longer joins two vehicles, shorter cuts one that passed behind a sign."""
 MAX_PIECE_S = 60.0
-"""Longer tracks are cut, so that a stopped vehicle can't hold memory for ever."""
+"""Longer tracks are cut, so that a stopped vehicle can't hold memory for ever.
+Chosen: longer holds more memory, shorter counts a queueing vehicle twice."""
 NODE_PERIOD_S = 0.2
+"""Frames within this are averaged into one node. Chosen: longer rounds bends off, shorter takes
+more time and memory and says no more: errors of boxes are alike from frame to frame."""
 NODE_SPACING_M = 2.0
+"""Nodes closer than this are averaged into one. Chosen: wider rounds bends off, closer measures the
+headings of slow vehicles from noise."""
 MAX_SPEED_MPS = 70.0
+"""250 km/h. A faster jump is another vehicle. Chosen: higher joins two vehicles under one id, lower
+cuts fast ones."""
 MIN_TRAVEL_M = 8.0
-"""Less net travel is a parked or jittering box, not traffic."""
+"""Less net travel is a parked or jittering box, not traffic. Chosen: more loses vehicles at the
+edge of the view, less takes parked ones for traffic."""
 MAX_TURN_RAD = np.pi / 3
-"""Between neighbouring nodes; a sharper turn is an identity switch, not a vehicle."""
+"""Between neighbouring nodes; a sharper turn is an identity switch, not a vehicle. Chosen: larger
+keeps switched ids, smaller cuts vehicles that turn at a junction."""
 MAX_LATERAL_MPS2 = 8.0
-"""Lateral acceleration on dry asphalt that no everyday driver exceeds."""
+"""Lateral acceleration on dry asphalt that no everyday driver exceeds. Chosen: larger keeps
+switched ids, smaller cuts vehicles in tight ramps."""
 MIN_BREAK_RAD = 0.35
+"""A turn of less is never taken for a switched id. Chosen: larger keeps switched ids, smaller cuts
+lane changes of noisy tracks."""
 HEADING_BASE = 2
-"""Nodes to either side over which a heading is measured."""
+"""Nodes to either side over which a heading is measured. Chosen: more round bends off, fewer pass
+on the noise of single nodes."""
 
 
 @dataclass(frozen=True)
 class TrajectorySegments:
-    """P passes with N nodes in all; nodes of pass p are `slice(offset[p], offset[p + 1])`.
+    """P segments with N nodes in all; nodes of segment p are `slice(offset[p], offset[p + 1])`.
 
     Attributes:
         xy: (N, 2) float64, map frame, metres, in travel order.
@@ -59,11 +73,11 @@ class TrajectorySegments:
 
     @cached_property
     def owner(self) -> NDArray[np.int64]:
-        """(N,) index of the pass each node belongs to."""
+        """(N,) index of the segment each node belongs to."""
         return np.repeat(np.arange(len(self)), np.diff(self.offset))
 
 
-def empty_passes() -> TrajectorySegments:
+def no_segments() -> TrajectorySegments:
     """No traffic yet."""
     none = np.empty(0)
     return TrajectorySegments(
@@ -72,10 +86,10 @@ def empty_passes() -> TrajectorySegments:
 
 
 def concatenate(parts: list[TrajectorySegments]) -> TrajectorySegments:
-    """Passes of several parts, in order."""
+    """Segments of several parts, in order."""
     parts = [p for p in parts if len(p)]
     if not parts:
-        return empty_passes()
+        return no_segments()
     if len(parts) == 1:
         return parts[0]
     counts = np.concatenate([np.diff(p.offset) for p in parts])
@@ -89,42 +103,42 @@ def concatenate(parts: list[TrajectorySegments]) -> TrajectorySegments:
     )
 
 
-def newest(passes: TrajectorySegments, count: int) -> TrajectorySegments:
-    """The last `count` passes, or all when there are fewer; views."""
-    first = max(0, len(passes) - count)
-    node = int(passes.offset[first])
+def newest(segments: TrajectorySegments, count: int) -> TrajectorySegments:
+    """The last `count` segments, or all when there are fewer; views."""
+    first = max(0, len(segments) - count)
+    node = int(segments.offset[first])
     return TrajectorySegments(
-        passes.xy[node:],
-        passes.sigma[node:],
-        passes.heading[node:],
-        passes.time_s[node:],
-        passes.offset[first:] - node,
-        passes.large[first:],
+        segments.xy[node:],
+        segments.sigma[node:],
+        segments.heading[node:],
+        segments.time_s[node:],
+        segments.offset[first:] - node,
+        segments.large[first:],
     )
 
 
-def select(passes: TrajectorySegments, keep: NDArray[np.bool_]) -> TrajectorySegments:
-    """The passes for which `keep` (P,) holds."""
-    nodes = np.repeat(keep, np.diff(passes.offset))
-    counts = np.diff(passes.offset)[keep]
+def select(segments: TrajectorySegments, keep: NDArray[np.bool_]) -> TrajectorySegments:
+    """The segments for which `keep` (P,) holds."""
+    nodes = np.repeat(keep, np.diff(segments.offset))
+    counts = np.diff(segments.offset)[keep]
     return TrajectorySegments(
-        passes.xy[nodes],
-        passes.sigma[nodes],
-        passes.heading[nodes],
-        passes.time_s[nodes],
+        segments.xy[nodes],
+        segments.sigma[nodes],
+        segments.heading[nodes],
+        segments.time_s[nodes],
         np.append(0, np.cumsum(counts)),
-        passes.large[keep],
+        segments.large[keep],
     )
 
 
 def condense(rows: TrackRows) -> TrajectorySegments:
-    """Passes in `rows`, which must be sorted by (track, time).
+    """Segments in `rows`, which must be sorted by (track, time).
 
     Returns:
-        One pass per stretch of smooth travel of at least `MIN_TRAVEL_M`.
+        One segment per stretch of smooth travel of at least `MIN_TRAVEL_M`.
     """
     if len(rows) == 0:
-        return empty_passes()
+        return no_segments()
     new = _new_vehicle(rows)
     first = np.flatnonzero(new)
     begin_s = np.repeat(rows.time_s[first], lengths(first, len(rows)))
@@ -135,12 +149,12 @@ def condense(rows: TrackRows) -> TrajectorySegments:
     )
     nodes = nodes.average(slot)
     nodes = nodes.average(np.floor(_travel_m(nodes) / NODE_SPACING_M))
-    return _to_passes(_cut_at_turns(nodes))
+    return _to_segments(_cut_at_turns(nodes))
 
 
 @dataclass(frozen=True, slots=True)
 class _Nodes:
-    """Rows on their way to becoming passes; `piece` numbers the vehicles and never decreases."""
+    """Rows on their way to becoming segments; `piece` numbers the vehicles and never decreases."""
 
     x: NDArray[np.float64]
     y: NDArray[np.float64]
@@ -226,7 +240,7 @@ def _cut_at_turns(nodes: _Nodes) -> _Nodes:
     return replace(nodes, piece=np.cumsum(new) - 1)
 
 
-def _to_passes(nodes: _Nodes) -> TrajectorySegments:
+def _to_segments(nodes: _Nodes) -> TrajectorySegments:
     """Drop what is no traffic, measure headings."""
     first = np.flatnonzero(nodes.starts())
     counts = lengths(first, len(nodes.piece))

@@ -16,17 +16,27 @@ from geoorbit_ros.lanes.estimators.curvilinear.centerlines import Centerline
 from geoorbit_ros.lanes.estimators.curvilinear.grouped import quantile
 
 TYPICAL_WIDTH_M = (3.25, 3.65)
-TYPICAL_SPEED_MPS = (14.0, 22.0)
-TYPICAL_SIGMA_M = 0.3
 """City streets have 3.0 to 3.5 m (NACTO Urban Street Design Guide), faster roads 3.5 to 3.75 m
 (AASHTO Green Book 12 ft, German RAA, UK CD 127)."""
+TYPICAL_SPEED_MPS = (14.0, 22.0)
+"""Speeds of the two widths, 50 and 80 km/h; in between, the width is interpolated. Chosen: higher
+takes faster roads for city streets, lower the reverse."""
+TYPICAL_SIGMA_M = 0.3
+"""1-sigma of a road's width around the typical one. It covers the range of the standards above."""
 SPREAD_M = 0.08
-"""1-sigma of lane widths within one road."""
+"""1-sigma of lane widths within one road. Chosen: larger trusts single spacings more, smaller makes
+all lanes of a road equally wide."""
 SHOULDER_M = 0.6
-"""A spacing larger than the road's by more than this contains a shoulder or a median."""
+"""A spacing larger than the road's by more than this contains a shoulder or a median.
+Chosen: larger counts shoulders as lane width, smaller leaves out wide lanes."""
 SPACING_RANGE_M = (2.5, 4.9)
+"""Spacings of neighbouring lanes. Chosen: lanes are 2.7 to 4.5 m wide (AASHTO Green Book; UK CD
+127), and drivers' offsets move centrelines by 0.2 to 0.4 m; a wider range takes in shoulders."""
 PARALLEL = 0.02
+"""Slope between two lanes, 1 m in 50 m, from which their spacing is not used. Chosen: larger
+measures widths at ramps, smaller leaves few stations."""
 MIN_COMMON_STATIONS = 4
+"""One road scale. Chosen: more leave short lanes without a measured width, fewer measure noise."""
 
 
 @dataclass(frozen=True, slots=True)
