@@ -54,7 +54,7 @@ class Count(LaneCount):
 
 
 class CountedLanes:
-    """Gathers a twin's steps and judges their lanes in the end.
+    """Gathers a twin's steps and counts those in their lanes at the end.
 
     Args:
         network: The twin's.
@@ -72,7 +72,7 @@ class CountedLanes:
         columns = (step.vehicle_id, step.wanted_xy, step.wanted_heading_rad, step.lane)
         self._steps.append((time_s, *(c[seen].astype(np.float64) for c in columns)))
 
-    def judge(self) -> Count:
+    def total(self) -> Count:
         """All steps."""
         columns = [np.concatenate(parts) for parts in zip(*self._steps, strict=True)]
         network, count = self._network, Count(left_out=len(columns[0]))

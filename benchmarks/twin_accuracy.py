@@ -5,8 +5,8 @@ the scene's own network. A vehicle step is wrong when SUMO has the vehicle in an
 scene's traffic; steps within a second of a true lane change are reported, not counted.
 
 Of real cameras (where GEOORBIT_REAL_DATA names their folder) the true lanes are counted on the road
-(`counted_lanes`), without the map, the lane detector or the twin: the twin's own filter can't be
-its judge, and a lane that both detector and twin have wrong counts as wrong. Three times: on the
+(`counted_lanes`), without the map, the lane detector or the twin: the twin's own filter can't check
+itself, and a lane that both detector and twin have wrong counts as wrong. Three times: on the
 map as it is, as the bridge does it by default; the same with its lanes where the map has them; and
 on the map as `geoorbit twin patch` corrects it. Two cameras, a minute each.
 """
@@ -91,7 +91,7 @@ def try_scene(name: str, seed: int) -> None:
         for kind, tracks in (("true", true_tracks(run)), ("own", own_tracks(run))):
             truth, simulation = LaneTruth(record, network), SumoSimulation(net, STEP_S)
             stream = TrackStream("camera", tracks, run.datum)
-            result = replay_tracks(network, simulation, [stream], truth.judge)
+            result = replay_tracks(network, simulation, [stream], truth.count)
             simulation.close()
             score, health = truth.score, result.health
             title = f"{name}, seed {seed}, {kind} tracks: wrong lanes / allowed"
@@ -132,7 +132,7 @@ def try_camera(name: str, place: Path, counted: Mapping[str, int]) -> None:
             simulation, truth = SumoSimulation(road.path, STEP_S), CountedLanes(road, counted)
             result = replay_tracks(road, simulation, [stream], truth.take, driven=moved)
             simulation.close()
-            count, health = truth.judge(), result.health
+            count, health = truth.total(), result.health
             title = f"{name}, {kind}: wrong lanes / allowed"
             if kind == "map as it is":
                 ratio = (1.0 - count.share) / ALLOWED

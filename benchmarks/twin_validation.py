@@ -3,7 +3,7 @@
 A minute of traffic goes through camera model, detector model and lane estimator. The scene's own
 network is right; it is given one error at a time: a lane missing, a lane too many, an edge 1 m
 beside its place, a lane 0.8 m narrower, an edge turned round, the whole map displaced by 1 m. Every
-lane that the camera judges over `MIN_LENGTH_M` takes its turn. An error counts as found when one
+lane that the camera checks over `MIN_LENGTH_M` takes its turn. An error counts as found when one
 finding has its kind and place and, within the stated tolerance, its size, and no finding is of
 anything else (an extra lane with too little traffic beside it is counted apart: the report says how
 many vehicles it takes; a displaced edge may be reported as a displaced map where that explains all
@@ -45,7 +45,7 @@ from scores.map_errors import SHIFT_M, WIDTH_M, Error, plant
 
 DURATION_S = 60.0
 MIN_LENGTH_M = 30.0
-"""An error can move an edge's end by some metres; of less than 20 m in view nothing is judged."""
+"""An error can move an edge's end by some metres; of less than 20 m in view nothing is checked."""
 MENDED_M, MENDED_WIDTH_M = 0.4, 0.3
 """What the lane estimator promises of a lane at 95 %, and the least width difference reported."""
 
@@ -82,8 +82,8 @@ def is_found(error: Error, lane: str, found: Validation) -> bool:
 
 def is_mended(lanes: Sequence[str], right: RoadNetwork, patched: RoadNetwork) -> bool:
     """Whether the lanes of a right network are in a patched one, and no other beside them."""
-    judged = {name.rpartition("_")[0] for name in lanes}
-    for edge in judged:
+    checked = {name.rpartition("_")[0] for name in lanes}
+    for edge in checked:
         if right.edge_id.count(edge) != patched.edge_id.count(edge):
             return False
     return all(_has(right, right.number[name], patched) for name in lanes)
@@ -140,9 +140,9 @@ def try_scene(name: str, seed: int, counts: Counter[str]) -> None:
         folder = Path(text)
         lanes, network = seen(load_scene(name), seed, folder)
         clean = try_right(f"{name}, seed {seed}", lanes, network, counts)
-        judged = [k for k, m in clean.discrepancies.compared.items() if m >= MIN_LENGTH_M]
+        checked = [k for k, m in clean.discrepancies.compared.items() if m >= MIN_LENGTH_M]
         for error in get_args(Error):
-            for k, lane in enumerate(judged):
+            for k, lane in enumerate(checked):
                 alone = network.edge_id.count(network.edge_id[network.number[lane]]) == 1
                 if (error == "missing" and alone) or (error == "offset" and k):
                     continue
@@ -155,7 +155,7 @@ def try_scene(name: str, seed: int, counts: Counter[str]) -> None:
                 (work / "out").mkdir()
                 result = patch_network(lanes, bad, work / "out")
                 found = is_found(error, named, result.before)
-                mended = not result.after.findings and is_mended(judged, network, result.network)
+                mended = not result.after.findings and is_mended(checked, network, result.network)
                 unseen = {u.lane_id for u in result.before.discrepancies.unseen}
                 if error == "extra" and named in unseen and not result.before.findings:
                     counts["undecided"] += 1  # said so, with the number of vehicles it takes

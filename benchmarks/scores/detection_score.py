@@ -38,10 +38,13 @@ def box_iou(first: Array, second: Array) -> Array:
 
 
 MATCH_IOU = 0.5
-USEFUL_HEIGHT_PX, USEFUL_WIDTH_PX = 16.0, 1280
-"""A vehicle is within the useful range when its box is at least so high in an image so wide,"""
+"""Least overlap of a box and the vehicle that it finds, as MOTChallenge asks for."""
+USEFUL_WIDTH_PX = 1280
+"""Width of the image that `USEFUL_HEIGHT_PX` is meant for."""
+USEFUL_HEIGHT_PX = 16.0
+"""Least height of a vehicle's box within the useful range (docs/detection.md)."""
 USEFUL_VISIBLE = 0.5
-"""and at least this share of it is visible."""
+"""Least visible share of a vehicle within the useful range (docs/detection.md)."""
 
 
 @dataclass(frozen=True, slots=True)

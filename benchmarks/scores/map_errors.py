@@ -13,7 +13,11 @@ from geoorbit_ros.roadnet.network import RoadNetwork
 from geoorbit_ros.roadnet.plain_network import LaneEdit, PlainNetwork
 
 Error = Literal["missing", "extra", "shifted", "width", "direction", "offset"]
-SHIFT_M, WIDTH_M = 1.0, 0.8
+SHIFT_M = 1.0
+"""How far a shifted lane or map is off. Chosen: less than a third of a lane, more than a map's
+error."""
+WIDTH_M = 0.8
+"""How much too narrow a lane is. Chosen: as `SHIFT_M`."""
 
 
 def plant(error: Error, network: RoadNetwork, lane_id: str, out: Path, folder: Path) -> str:

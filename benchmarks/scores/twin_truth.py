@@ -15,11 +15,16 @@ from geoorbit_ros.twin.placement import TwinStep
 CROSSING_S = 1.0
 """This long before and after a lane change a body of 1.8 m stands on the line between two lanes:
 SUMO's change of `traffic.LANE_CHANGE_S` moves it by a lane's width in four seconds."""
-ALONG_M, ACROSS_M = 6.0, 1.7
-"""Nearer than this, a vehicle of the twin is a true one's; otherwise it is a false track."""
+ALONG_M = 6.0
+"""Within this distance along the road, a vehicle of the twin belongs to a true one; farther off it
+is a false track. Chosen: about a car and its error."""
+ACROSS_M = 1.7
+"""The same across the road. Chosen: half a lane."""
 PASSES_MPS = 10.0
-"""Who moved otherwise than a true vehicle by this is not its double: it stands where that one
-drives by, and is false. Its places tell, not its track, which may say anything at first."""
+"""A vehicle of the twin whose velocity differs by this from that of the true vehicle beside it is
+not its double: it stands where the true one drives by, and is false. Its positions decide, not its
+track, whose speed may be wrong at first. Chosen: more than the errors of speed, less than that of
+traffic."""
 
 
 @dataclass(slots=True)
@@ -50,10 +55,10 @@ class LaneCount:
 
 @dataclass(slots=True)
 class LaneScore(LaneCount):
-    """Vehicle steps, judged.
+    """Vehicle steps, counted.
 
     Attributes:
-        false_tracks: Of vehicles that are nobody's.
+        false_tracks: Of vehicles that belong to no true one.
         doubled: Of vehicles beyond the first that are the same true one's, and move as it does.
     """
 
@@ -62,7 +67,7 @@ class LaneScore(LaneCount):
 
 
 class LaneTruth:
-    """Judges steps of a twin of a scene's traffic.
+    """Counts steps of a twin of a scene's traffic.
 
     Args:
         record: The scene's traffic.
@@ -77,7 +82,7 @@ class LaneTruth:
         self._crossing = self._find_crossings()
         self._before: tuple[int, dict[int, NDArray[np.float64]]] = (0, {})
 
-    def judge(self, step: TwinStep) -> None:
+    def count(self, step: TwinStep) -> None:
         """Count one step's vehicles that a camera sees; those inside junctions are left out."""
         record = self._record
         number = round((step.stamp_ns - START_NS) * 1e-9 / STEP_S)
@@ -111,7 +116,7 @@ class LaneTruth:
         self.score.crossing_wrong += int(np.count_nonzero(counted & ~right & crossing))
 
     def _velocity(self, step: TwinStep) -> NDArray[np.float64]:
-        """(M, 2) by the places of this step and the one before; NaN for who was not there then."""
+        """(M, 2) from the places of this step and the one before; NaN for a vehicle that is new."""
         stamp_ns, places = self._before
         ids, nowhere = step.vehicle_id.tolist(), np.full(2, np.nan)
         before = np.array([places.get(v, nowhere) for v in ids]).reshape(-1, 2)

@@ -64,7 +64,7 @@ def through_the_twin(
     truth, steps = LaneTruth(watched.record, network), list[TwinStep]()
 
     def take(step: TwinStep) -> None:
-        truth.judge(step)
+        truth.count(step)
         steps.append(step)
 
     simulation = SumoSimulation(watched.net, 0.1)

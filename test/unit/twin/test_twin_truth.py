@@ -56,8 +56,8 @@ def test_a_vehicle_that_goes_along_is_a_double_and_one_that_stands_is_false(
     ):
         truth = LaneTruth(record, network)
         for k, (first, other) in enumerate(zip(record.xy, second, strict=True)):
-            truth.judge(twin_step(k, np.array([first, other])))
+            truth.count(twin_step(k, np.array([first, other])))
         assert truth.score.doubled == doubled
     late = LaneTruth(record, network)
-    late.judge(twin_step(5, np.array([record.xy[5], stands])))
+    late.count(twin_step(5, np.array([record.xy[5], stands])))
     assert late.score.doubled == 1
