@@ -49,7 +49,7 @@ import yaml
 from geoorbit_ros.core.resources import share_path
 from geoorbit_ros.federated.keys import Signer
 from geoorbit_ros.federated.payloads.model_layout import ModelLayout
-from geoorbit_ros.federated.rounds.server_state import Ledger, read_checkpoint
+from geoorbit_ros.federated.rounds.server_state import Answers, read_checkpoint
 from geoorbit_ros.learning.meta_learner import MetaLearner
 
 CAMERAS = ("north", "south", "west", "east")
@@ -86,7 +86,7 @@ def camera(name: str, folder: Path, server_key: str, settings: dict[str, object]
     from geoorbit_ros.core.tables import TRACK_DTYPE
     from geoorbit_ros.federated.rounds.local_work import LocalResult
     from geoorbit_ros.learning import camera_session
-    from geoorbit_ros.learning.camera_learning import Lesson
+    from geoorbit_ros.learning.camera_learning import LearningResult
     from geoorbit_ros.nodes.meta_client import MetaClientNode
     from geoorbit_ros.nodes.support.process import make_executor
 
@@ -94,16 +94,16 @@ def camera(name: str, folder: Path, server_key: str, settings: dict[str, object]
         float(str(settings.pop(name))) for name in ("round_s", "limit_s", "tail_s")
     )
 
-    def lesson(task: Any, _: str, tensors: Any, order: Any, _best: Any = None) -> Lesson:
+    def lesson(task: Any, _: str, tensors: Any, order: Any, _best: Any = None) -> LearningResult:
         time.sleep(round_s)
-        if not order.teach:
-            return Lesson(LocalResult({}, 0, 1.0, -0.5), None)
+        if not order.train:
+            return LearningResult(LocalResult({}, 0, 1.0, -0.5), None)
         random = np.random.default_rng([order.round, *task.camera_id.encode()])
         delta = {
             key: random.normal(0, 0.02, value.shape).astype(np.float32)
             for key, value in tensors.items()
         }
-        return Lesson(LocalResult(delta, 1, 1.0, -0.5), np.zeros(3))
+        return LearningResult(LocalResult(delta, 1, 1.0, -0.5), np.zeros(3))
 
     setattr(camera_session, "learn_from_camera", lesson)  # noqa: B010
     rclpy.init()
@@ -436,7 +436,7 @@ def run(
             process.send_signal(signal.SIGKILL)
             process.wait(10.0)
     layout = ModelLayout.of(MetaLearner.untrained(0).tensors())
-    state = read_checkpoint(folder / "server.npz", layout, Ledger(()))
+    state = read_checkpoint(folder / "server.npz", layout, Answers(()))
     if state is None or not state.finished:
         raise SystemExit((folder / "server.log").read_text())
     updates = [record.updates for record in state.history]

@@ -1,8 +1,8 @@
 """What learning brings: losses of trained models as shares of those of the fixed parameters.
 
-A fleet is trained from scratch into a folder that is thrown away, unless `--out` names one with
-cameras already in it. Without options it is the small study, which takes a few minutes; the figures
-of the guide are those of `params/studies/roads.yaml` with five seeds.
+A population is trained from scratch into a folder that is thrown away, unless `--out` names one
+with cameras already in it. Without options it is the small study, which takes a few minutes; the
+figures of the guide are those of `params/studies/roads.yaml` with five seeds.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ def evaluate(
     out: Annotated[Path, typer.Option(help="The folder that geoorbit train has filled.")],
     workers: Annotated[int, typer.Option(min=1, max=1024, help="Processes.")] = 2,
 ) -> None:
-    """Judge the fixed parameters and the trained models on seen and unseen cameras.
+    """Measure the fixed parameters and the trained models on seen and unseen cameras.
 
     Into OUT/evaluation go the paper's tables of losses and of communication, the errors against the
     true lanes, and the loss figures: tables.md, CSV files and pictures.
@@ -23,7 +23,7 @@ def evaluate(
     from geoorbit_ros.core.errors import InputFileError
     from geoorbit_ros.core.plugins import registered
     from geoorbit_ros.learning import study_report as study_tables
-    from geoorbit_ros.learning.evaluation import evaluate as judge
+    from geoorbit_ros.learning.evaluation import evaluate as measure
     from geoorbit_ros.learning.study import open_study
     from geoorbit_ros.learning.study_report import draw_losses
 
@@ -35,7 +35,7 @@ def evaluate(
     tables = {}
     for name in trained:
         with shown_progress() as progress:
-            rows = judge(study, name, progress)
+            rows = measure(study, name, progress)
         tables[f"losses-{name}"] = study_tables.loss_table(rows, name)
         tables[f"errors-{name}"] = study_tables.error_table(rows, name)
         tables[f"recordings-{name}"] = study_tables.recording_table(rows, name)

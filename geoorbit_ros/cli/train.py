@@ -1,4 +1,4 @@
-"""`geoorbit train`: a meta-learner from a fleet of cameras."""
+"""`geoorbit train`: a meta-learner from a population of cameras."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ class ModeName(StrEnum):
 
 
 def train(
-    fleet: Annotated[
-        Path, typer.Argument(help="Which cameras: a fleet file.", metavar="FLEET.yaml")
+    population: Annotated[
+        Path, typer.Argument(help="Which cameras: a population file.", metavar="FLEET.yaml")
     ],
     out: Annotated[Path, typer.Option(help="Folder for cameras, models and their history.")],
     rounds: Annotated[int, typer.Option(min=1, max=10000, help="Most rounds.")] = 20,
@@ -53,7 +53,7 @@ def train(
 ) -> None:
     """Train the meta-learner that predicts each camera's detection parameters.
 
-    The fleet's cameras are simulated once and kept in OUT/cameras, their best parameters are
+    The population's cameras are simulated once and kept in OUT/cameras, their best parameters are
     searched once, then the model learns to predict these from the scene: with all data in one place
     (central) and through the federated server and its wire format (federated).
 
@@ -69,7 +69,7 @@ def train(
         check_name("estimator", name)
     check_name("strategy", strategy)
     check_name("encoding", encoding)
-    study = open_study(out, fleet, workers)
+    study = open_study(out, population, workers)
     settings = RunSettings(
         rounds=rounds,
         stop_below=float("nan") if stop_below is None else stop_below,
@@ -78,8 +78,8 @@ def train(
         encoding=encoding,
     )
     table = make_table(
-        f"Fleet {study.fleet.name}",
-        "estimator|mode|>seed|>rounds|>L_param|>L_total|>kB|judged",
+        f"Population {study.population.name}",
+        "estimator|mode|>seed|>rounds|>L_param|>L_total|>kB|verdict",
     )
     for name in names:
         with shown_progress() as progress:

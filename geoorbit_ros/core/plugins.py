@@ -30,7 +30,7 @@ FROM_FILES = ("detector", "estimator", "strategy")
 
 _PACKAGE = Path(__file__).parents[1]
 _PLUGIN = re.compile(r"(?P<file>.+\.py):(?P<name>[A-Za-z_]\w*)")
-_DECORATOR = re.compile(r'^@register\("(\w+)", "(\w+)"\)$', re.MULTILINE)
+_DECORATOR = re.compile(r'^@(?:plugins\.)?register\("(\w+)", "(\w+)"\)$', re.MULTILINE)
 _classes: dict[tuple[str, str], type] = {}
 
 Class = TypeVar("Class", bound=type)

@@ -18,7 +18,7 @@ from geoorbit_ros.learning.parameter_space import DEFAULT_UNIT
 
 
 @dataclass(frozen=True, slots=True)
-class Lesson:
+class LearningResult:
     """What comes back.
 
     Attributes:
@@ -37,10 +37,10 @@ def learn_from_camera(
     tensors: Tensors,
     order: TrainingOrder,
     best_theta: NDArray[np.float64] | None = None,
-) -> Lesson:
+) -> LearningResult:
     """Detect lanes with the model's theta, search for a better one, step towards it.
 
-    Who judges also compares with the defaults; who only judges does no more than that.
+    A validation client also compares with the defaults; one that does not train does only that.
 
     Args:
         task: The observation and its reference lanes; at least one.
@@ -53,10 +53,10 @@ def learn_from_camera(
     objective = Objective(task, estimator, task.supervision)
     losses = objective.losses(MetaLearner.from_tensors(tensors).predict_unit(task.features))
     gain = float("nan")
-    if order.judge:
+    if order.validate:
         gain = log_loss(losses) - log_loss(objective.losses(DEFAULT_UNIT))
-    if not order.teach:
-        return Lesson(LocalResult({}, 0, losses.total, gain), best_theta)
+    if not order.train:
+        return LearningResult(LocalResult({}, 0, losses.total, gain), best_theta)
     from geoorbit_ros.learning.local_training import Examples, train_locally  # imports torch
 
     if best_theta is None:
@@ -65,7 +65,7 @@ def learn_from_camera(
     delta, count, _ = train_locally(
         tensors, examples, proximal=order.proximal_mu, seed=_seed(task.camera_id, order)
     )
-    return Lesson(LocalResult(delta, count, losses.total, gain), best_theta)
+    return LearningResult(LocalResult(delta, count, losses.total, gain), best_theta)
 
 
 def _seed(camera_id: str, order: TrainingOrder) -> int:

@@ -1,4 +1,4 @@
-"""A camera in a federation: observes, predicts theta, trains or judges when asked. Free of ROS."""
+"""A camera in a federation: observes, predicts theta, trains or validates. Free of ROS."""
 
 from __future__ import annotations
 
@@ -17,13 +17,12 @@ from geoorbit_ros.federated.keys import Signer
 from geoorbit_ros.federated.payloads.global_model import interface_digest
 from geoorbit_ros.federated.payloads.lane_parameters import ThetaPayload
 from geoorbit_ros.federated.rounds.client import FederatedClient, Work
-from geoorbit_ros.federated.rounds.outbox import Outbox
+from geoorbit_ros.federated.rounds.resend_queue import ResendQueue
 from geoorbit_ros.lanes.parameters import LaneParameters
-from geoorbit_ros.learning.camera_learning import Lesson, learn_from_camera
+from geoorbit_ros.learning.camera_learning import LearningResult, learn_from_camera
 from geoorbit_ros.learning.camera_task import CameraTask
 from geoorbit_ros.learning.features import FEATURE_NAMES, scene_features
-from geoorbit_ros.learning.meta_learner import MetaLearner
-from geoorbit_ros.learning.model_file import load_model
+from geoorbit_ros.learning.meta_learner import MetaLearner, load_model
 from geoorbit_ros.learning.parameter_space import PARAMETER_NAMES
 
 INTERFACE = interface_digest(FEATURE_NAMES, PARAMETER_NAMES)
@@ -49,9 +48,9 @@ class CameraSession:
 
     Attributes:
         reference: Reference lanes by number, from the map.
-        learner: Predicts while judges approve of no model of the server; None: the defaults.
+        learner: Predicts while no model of the server is approved; None: the defaults.
         observations: How many were completed.
-        trained: Rounds that were trained or judged for.
+        trained: Rounds that were trained or validated for.
     """
 
     def __init__(
@@ -65,7 +64,7 @@ class CameraSession:
     ) -> None:
         self.client, self._signer = client, signer
         self._estimator, self._executor = estimator, executor
-        self._outbox = Outbox(resend_s)
+        self._resend = ResendQueue(resend_s)
         self._length_ns = round(observation_s * 1e9)
         self.reference: dict[int, Lane] = {}
         self._settled_s = 0.0
@@ -76,7 +75,7 @@ class CameraSession:
         self._features: NDArray[np.float64] | None = None
         self._best: tuple[object, NDArray[np.float64]] | None = None
         self._work: Work | None = None
-        self._running: tuple[Work, object, Future[Lesson]] | None = None
+        self._running: tuple[Work, object, Future[LearningResult]] | None = None
         self._died_of: Work | None = None
         self._predicted: object = None
 
@@ -102,7 +101,7 @@ class CameraSession:
         self.reference, self._settled_s = dict(lanes), now_s + SETTLE_S
 
     def receive(self, payload: bytes) -> None:
-        """Take what the server announced.
+        """Take what the server sent.
 
         Raises:
             PayloadError: It was refused.
@@ -142,7 +141,7 @@ class CameraSession:
         Raises:
             GeoOrbitError: Training failed.
         """
-        return self._outbox.pass_on(self._poll(now_s), self.client, now_s)
+        return self._resend.pass_on(self._poll(now_s), self.client, now_s)
 
     def _poll(self, now_s: float) -> bytes | None:
         if self._running is not None:
@@ -171,7 +170,7 @@ class CameraSession:
     def theta(self) -> bytes | None:
         """The payload with theta for the model in use and this observation; None when it is known.
 
-        Where judges approve of no model that this camera has, theta is `learner`'s, or else the
+        Where this camera has no approved model, theta is `learner`'s, or else the
         defaults.
         """
         tensors, features = self.client.used_tensors, self._features
@@ -189,7 +188,7 @@ class CameraSession:
         theta = ThetaPayload(self.client.camera_id, run, number, self.client.used, values)
         return self._signer.seal(theta.unsigned())
 
-    def _finish(self, work: Work, made_of: object, future: Future[Lesson]) -> bytes | None:
+    def _finish(self, work: Work, made_of: object, future: Future[LearningResult]) -> bytes | None:
         if not future.done():
             return None
         self._running = None

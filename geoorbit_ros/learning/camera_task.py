@@ -31,8 +31,8 @@ class CameraTask:
         features: (F,) the scene's features.
         supervision: Lanes of a map such as OpenStreetMap, with its errors: what the camera learns
             from.
-        truth: The lanes themselves, cut to what the camera sees: what every model is judged by. On
-            a real camera nobody knows them; there they are the map's lanes too.
+        truth: The lanes themselves, cut to what the camera sees: what every model is measured by.
+            On a real camera they are not known; there they are the map's lanes too.
         surveyed: Whether `truth` is exact.
     """
 

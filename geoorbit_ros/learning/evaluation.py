@@ -12,15 +12,15 @@ from geoorbit_ros.core.errors import InputFileError
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.learning.camera_task import load_task, required
 from geoorbit_ros.learning.lane_embedding import shipped_embedding
-from geoorbit_ros.learning.model_file import load_model
+from geoorbit_ros.learning.meta_learner import load_model
 from geoorbit_ros.learning.objective import DECIMALS, detect_lanes
 from geoorbit_ros.learning.parameter_space import DEFAULT_UNIT
 from geoorbit_ros.learning.population import Split
 from geoorbit_ros.learning.population_cameras import (
-    FleetCamera,
+    PopulationCamera,
     best_parameters,
     examples_of,
-    teachers_and_judges,
+    split_seen_cameras,
 )
 from geoorbit_ros.learning.processes import Progress, quiet, spread, watched
 from geoorbit_ros.learning.study import CAMERAS, Study, seed_of
@@ -36,7 +36,7 @@ _MODE: dict[str, Mode] = {META: "central", FEDMETA: "federated"}
 
 @dataclass(frozen=True, slots=True)
 class CameraResult:
-    """One camera with one theta, judged by its true lanes.
+    """One camera with one theta, measured by its true lanes.
 
     Attributes:
         losses: The paper's.
@@ -75,11 +75,11 @@ class ModelResult:
 
 
 def evaluate(study: Study, estimator: str, progress: Progress = quiet) -> list[ModelResult]:
-    """Judge the fixed parameters and every trained model of an estimator.
+    """Measure the fixed parameters and every trained model of an estimator.
 
     * Baseline: the default parameters on every camera.
-    * One for all: the mean of the teachers' theta*, on every camera: what can be had without
-      looking at the scene.
+    * One for all: the mean of the training cameras' theta*, on every camera: the best
+      that is possible without looking at the scene.
     * Meta, FedMeta: the trained models, one row per seed.
     * Searched: theta* of each seen camera that taught, which none without a reference can have.
 
@@ -90,8 +90,8 @@ def evaluate(study: Study, estimator: str, progress: Progress = quiet) -> list[M
     if not seeds:
         raise InputFileError(str(study.folder / estimator), "no model", "geoorbit train first")
     rows = []
-    for draw in range(study.fleet.draws):
-        drawn = [seed for seed in seeds if seed % study.fleet.draws == draw]
+    for draw in range(study.population.draws):
+        drawn = [seed for seed in seeds if seed % study.population.draws == draw]
         if drawn:
             rows += _evaluate_draw(study, estimator, drawn, progress)
     return rows
@@ -102,7 +102,7 @@ def _evaluate_draw(
 ) -> list[ModelResult]:
     """The rows of seeds that share their cameras."""
     cameras = study.cameras(seeds[0], progress)
-    seen, _ = teachers_and_judges(cameras)
+    seen, _ = split_seen_cameras(cameras)
     best = best_parameters(
         seen, estimator, study.folder / CAMERAS, study.workers, progress=progress
     )
@@ -137,18 +137,21 @@ def _row(
     model: str,
     seed: int,
     split: Split,
-    cameras: Sequence[FleetCamera],
+    cameras: Sequence[PopulationCamera],
     found: dict[str, CameraResult],
 ) -> ModelResult:
     chosen = [camera.camera_id for camera in cameras if camera.split == split]
     return ModelResult(model, seed, split, {name: found[name] for name in chosen})
 
 
-_Job = tuple[FleetCamera, str, tuple[float, ...]]
+_Job = tuple[PopulationCamera, str, tuple[float, ...]]
 
 
 def _judge_all(
-    asked: Sequence[tuple[FleetCamera, Array]], estimator: str, workers: int, progress: Progress
+    asked: Sequence[tuple[PopulationCamera, Array]],
+    estimator: str,
+    workers: int,
+    progress: Progress,
 ) -> list[CameraResult]:
     """Results in the order of `asked`; equal questions are answered once."""
     keys = [
@@ -158,13 +161,16 @@ def _judge_all(
         key: (camera, estimator, key[1]) for key, (camera, _) in zip(keys, asked, strict=True)
     }
     answers = watched(
-        spread(judge, list(jobs.values()), workers), len(jobs), f"judging ({estimator})", progress
+        spread(measure_camera, list(jobs.values()), workers),
+        len(jobs),
+        f"measuring ({estimator})",
+        progress,
     )
     known = dict(zip(jobs, answers, strict=True))
     return [known[key] for key in keys]
 
 
-def judge(job: _Job) -> CameraResult:
+def measure_camera(job: _Job) -> CameraResult:
     """One camera with one theta; (camera, estimator, theta)."""
     camera, estimator, theta = job
     task = load_task(camera.path)

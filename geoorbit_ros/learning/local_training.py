@@ -44,8 +44,8 @@ class TrainingSettings:
         learning_rate: Of plain gradient descent. Neither momentum nor adaptive steps: their state
             would have to stay on the camera between rounds, and FedAvg assumes none.
         weight_decay: Pull of all weights, not of biases, towards zero: towards one theta for all.
-        feature_noise: Standard deviation of the noise added to the features at every step. A fleet
-            has fewer cameras than the network has weights; noise as large as the differences
+        feature_noise: Standard deviation of the noise added to the features at every step. There
+            are fewer cameras than the network has weights; noise as large as the differences
             between cameras keeps it from telling each of them by heart (Bishop 1995, Training with
             noise is equivalent to Tikhonov regularization).
     """

@@ -39,7 +39,7 @@ class LossTable:
     Attributes:
         files: Task files by camera id.
         estimator: A registered name, or `FILE.py:CLASS`.
-        reference: `supervision` when learning, `truth` when judging.
+        reference: `supervision` when learning, `truth` when measuring.
         workers: Processes.
     """
 
@@ -61,7 +61,7 @@ class LossTable:
             (CameraFile(self.files[camera], self.estimator, self.reference), theta)
             for camera, theta in missing
         ]
-        found = watched(spread(_losses, jobs, self.workers), len(jobs), "judging", progress)
+        found = watched(spread(_losses, jobs, self.workers), len(jobs), "measuring", progress)
         self._known.update(zip(missing, found, strict=True))
         return [self._known[key] for key in keys]
 

@@ -10,19 +10,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.core.errors import TableError
+from geoorbit_ros.core.errors import InputFileError, TableError
 from geoorbit_ros.lanes.parameters import LaneParameters
 from geoorbit_ros.learning.features import FEATURE_NAMES
 from geoorbit_ros.learning.parameter_space import DEFAULT_UNIT, PARAMETER_NAMES, from_unit
+from geoorbit_ros.storage.atomic import atomic_output
 
 Tensors = dict[str, NDArray[np.float32]]
 """phi: weights and biases by name, in a fixed order."""
 
 HIDDEN_UNITS = 8
+"""Chosen: more fit the training cameras better and unseen ones worse, and cost bytes in each
+round."""
 DEFAULT_LOGIT = np.log(DEFAULT_UNIT) - np.log1p(-DEFAULT_UNIT)
 """(P,) c_p."""
 
@@ -103,3 +108,39 @@ class MetaLearner:
     def predict(self, features: NDArray[np.float64]) -> LaneParameters:
         """Detection parameters for one scene's (F,) features, always inside their bounds."""
         return from_unit(self.predict_unit(features))
+
+
+_FEATURES, _PARAMETERS = "feature_names", "parameter_names"
+"""Keys of the names in a model file."""
+
+
+def save_model(learner: MetaLearner, path: Path) -> None:
+    """Write phi with the names of its inputs and outputs to one .npz file."""
+    with atomic_output(path) as temporary, temporary.open("wb") as file:
+        np.savez(
+            file,
+            **{
+                _FEATURES: np.array(learner.feature_names),
+                _PARAMETERS: np.array(learner.parameter_names),
+                **learner.weights,
+            },  # type: ignore[arg-type]
+        )
+
+
+def load_model(path: Path) -> MetaLearner:
+    """Read what `save_model` wrote.
+
+    Raises:
+        InputFileError: Not such a file, or a model for other features or parameters.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as content:
+            arrays = {name: content[name] for name in content.files}
+        names = [tuple(arrays.pop(key).tolist()) for key in (_FEATURES, _PARAMETERS)]
+        learner = MetaLearner.from_tensors(arrays)
+    except (OSError, BadZipFile, ValueError, KeyError, TableError) as error:
+        raise InputFileError(str(path), error, "a model written by geoorbit train") from error
+    expected = [learner.feature_names, learner.parameter_names]
+    if names != expected:
+        raise InputFileError(str(path), f"a model of {names}", f"one of {expected}")
+    return learner

@@ -38,7 +38,7 @@ def detect_lanes(task: CameraTask, estimator: str, theta: Sequence[float] | Arra
     for k, stamp_ns in enumerate(task.tracks.stamp_ns):
         fresh.add(int(stamp_ns), task.tracks.frame(k))
     with warnings.catch_warnings():
-        # FITPACK and KMeans grumble at the far corners of the cube; the losses say it too.
+        # FITPACK and KMeans warn at the far corners of the cube; the losses say it too.
         warnings.simplefilter("ignore")
         return list(derive_once(fresh, parameters).lanes)
 
@@ -50,7 +50,7 @@ class Objective:
     Attributes:
         task: The camera.
         estimator: A registered name, or `FILE.py:CLASS`.
-        reference: `task.supervision` when learning, `task.truth` when judging.
+        reference: `task.supervision` when learning, `task.truth` when measuring.
         weights: Lambdas of the total.
         runs: How many times the estimator ran.
     """

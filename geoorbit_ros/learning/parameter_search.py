@@ -35,7 +35,7 @@ class SearchResult:
         default_total: L_total of the default parameters.
         runs: How many times the lanes were estimated.
         found: Whether any lane was found with it: a camera on which no theta finds one has nothing
-            to teach.
+            to train from.
     """
 
     theta: Array

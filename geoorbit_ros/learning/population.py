@@ -1,4 +1,4 @@
-"""Fleets to learn from: many cameras drawn at random, and recordings of real ones."""
+"""Populations to learn from: many cameras drawn at random, and recordings of real ones."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class MapErrors(StrictModel):
 
 
 class Recording(StrictModel):
-    """A real camera, by its files; paths are relative to `Fleet.recordings_root`."""
+    """A real camera, by its files; paths are relative to `Population.recordings_root`."""
 
     camera_id: str
     split: Split = "unseen"
@@ -67,8 +67,8 @@ class Recording(StrictModel):
     longitude_deg: float = 0.0
 
 
-class Fleet(StrictModel):
-    """A fleet file.
+class Population(StrictModel):
+    """A population file.
 
     Attributes:
         name: What tables call it.
@@ -108,8 +108,8 @@ class Fleet(StrictModel):
                 found[f"camera_{seed:05d}"] = seed, split
         return found
 
-    def of_draw(self, draw: int) -> Fleet:
-        """The fleet that is one of the draws; the number counts on over the last."""
+    def of_draw(self, draw: int) -> Population:
+        """The population that is one of the draws; the number counts on over the last."""
         later = draw % self.draws
         seen, unseen = (
             Cameras(first=cameras.first + later * cameras.count, count=cameras.count)
@@ -123,34 +123,34 @@ class Fleet(StrictModel):
         return Path(root) if root else None
 
 
-def load_fleet(path: Path) -> Fleet:
-    """Read a fleet file.
+def load_population(path: Path) -> Population:
+    """Read a population file.
 
     Raises:
         InputFileError: No such file, or the first value that is wrong.
     """
-    return read_yaml(path, Fleet, "fleet")
+    return read_yaml(path, Population, "population")
 
 
-def scene_task(fleet: Fleet, camera_id: str, scene_seed: int) -> CameraTask:
+def scene_task(population: Population, camera_id: str, scene_seed: int) -> CameraTask:
     """Let traffic pass a random camera and note what it has seen; takes seconds.
 
-    The same fleet and seed give the same task.
+    The same population and seed give the same task.
     """
-    random = np.random.default_rng([fleet.seed, scene_seed, 14])
+    random = np.random.default_rng([population.seed, scene_seed, 14])
     scene = random_scene(scene_seed)
-    if fleet.tilt_deg is not None:
-        along = float(random.uniform(-fleet.tilt_deg, fleet.tilt_deg))
+    if population.tilt_deg is not None:
+        along = float(random.uniform(-population.tilt_deg, population.tilt_deg))
         scene = _turned(scene, 90.0 + along + float(random.choice([0.0, 180.0])))
     start_s = int(random.integers(DAY_S))
-    run = simulate(scene, fleet.duration_s, fleet.seed)
+    run = simulate(scene, population.duration_s, population.seed)
     projector = BoxProjector(fit_homography(run.control_points), run.image_size)
     tracks = thin(project_frames(run.frames, projector), start_s * 1_000_000_000)
     return CameraTask(
         camera_id,
         tracks,
         scene_features(tracks),
-        _as_mapped(run.truth, fleet.map, random),
+        _as_mapped(run.truth, population.map, random),
         run.truth,
     )
 

@@ -1,4 +1,4 @@
-"""The cameras of a fleet, made once and kept in a folder, and their theta*."""
+"""The cameras of a population, made once and kept in a folder, and their theta*."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from geoorbit_ros.learning.parameter_search import (
     STAY,
     SearchResult,
 )
-from geoorbit_ros.learning.population import Fleet, Recording, Split, scene_task, thin
+from geoorbit_ros.learning.population import Population, Recording, Split, scene_task, thin
 from geoorbit_ros.learning.processes import Progress, quiet, spread, watched
 from geoorbit_ros.learning.validation import roles
 from geoorbit_ros.roadnet.network import load_network
@@ -94,8 +94,8 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class FleetCamera:
-    """One camera of a fleet.
+class PopulationCamera:
+    """One camera of a population.
 
     Attributes:
         camera_id: Its name.
@@ -112,41 +112,43 @@ class FleetCamera:
     surveyed: bool
 
 
-def fleet_cameras(
-    fleet: Fleet, folder: Path, workers: int = 1, progress: Progress = quiet
-) -> list[FleetCamera]:
-    """All cameras of a fleet; those that are not in `folder` yet are simulated and put there.
+def population_cameras(
+    population: Population, folder: Path, workers: int = 1, progress: Progress = quiet
+) -> list[PopulationCamera]:
+    """All cameras of a population; those that are not in `folder` yet are simulated and put there.
 
-    A cached camera is used again only for the same settings of the fleet.
+    A cached camera is used again only for the same settings of the population.
 
     Raises:
         InputFileError: A file in the folder that is no camera.
     """
     named = {
-        camera_id: (seed, split, folder / f"{camera_id}-{_digest(fleet, seed)}.npz")
-        for camera_id, (seed, split) in fleet.scenes.items()
+        camera_id: (seed, split, folder / f"{camera_id}-{_digest(population, seed)}.npz")
+        for camera_id, (seed, split) in population.scenes.items()
     }
     missing = [(c, seed, path) for c, (seed, _, path) in named.items() if not path.exists()]
-    made = spread(partial(_make, fleet), missing, workers)
+    made = spread(partial(_make, population), missing, workers)
     for _ in watched(made, len(missing), "simulating cameras", progress):
         pass
     found = [(camera_id, split, path) for camera_id, (_, split, path) in named.items()]
-    found += _recordings(fleet, folder, progress)
+    found += _recordings(population, folder, progress)
     cameras = []
     for camera_id, split, path in found:
         task = load_task(path)
-        cameras.append(FleetCamera(camera_id, split, path, task.features, task.surveyed))
+        cameras.append(PopulationCamera(camera_id, split, path, task.features, task.surveyed))
     return cameras
 
 
-def _recordings(fleet: Fleet, folder: Path, progress: Progress) -> list[tuple[str, Split, Path]]:
+def _recordings(
+    population: Population, folder: Path, progress: Progress
+) -> list[tuple[str, Split, Path]]:
     """The real cameras; none where the environment does not say where they are."""
-    root = fleet.recordings_folder()
+    root = population.recordings_folder()
     if root is None:
         return []
     found: list[tuple[str, Split, Path]] = []
-    for k, recording in enumerate(fleet.recordings):
-        progress("reading recordings", k / len(fleet.recordings))
+    for k, recording in enumerate(population.recordings):
+        progress("reading recordings", k / len(population.recordings))
         text = recording.model_dump_json()
         digest = hashlib.sha256(text.encode()).hexdigest()[:8]
         path = folder / f"{recording.camera_id}-{digest}.npz"
@@ -157,7 +159,7 @@ def _recordings(fleet: Fleet, folder: Path, progress: Progress) -> list[tuple[st
 
 
 def best_parameters(
-    cameras: list[FleetCamera],
+    cameras: list[PopulationCamera],
     estimator: str,
     folder: Path,
     workers: int = 1,
@@ -178,7 +180,9 @@ def best_parameters(
     return {camera.camera_id: known[camera.path.name] for camera in cameras}
 
 
-def examples_of(cameras: list[FleetCamera], best: dict[str, SearchResult]) -> dict[str, Examples]:
+def examples_of(
+    cameras: list[PopulationCamera], best: dict[str, SearchResult]
+) -> dict[str, Examples]:
     """What each camera has to learn from; those without a lane at any theta have nothing."""
     return {
         camera.camera_id: Examples(camera.features[None, :], best[camera.camera_id].theta[None, :])
@@ -187,29 +191,29 @@ def examples_of(cameras: list[FleetCamera], best: dict[str, SearchResult]) -> di
     }
 
 
-def teachers_and_judges(
-    cameras: list[FleetCamera],
-) -> tuple[list[FleetCamera], list[FleetCamera]]:
-    """The seen cameras, split: about a quarter only judges whether learning has brought anything.
+def split_seen_cameras(
+    cameras: list[PopulationCamera],
+) -> tuple[list[PopulationCamera], list[PopulationCamera]]:
+    """The seen cameras, split: about a quarter only validates.
 
-    In a fleet of fewer than eight, everybody teaches and judges (`acceptance.roles`).
+    In a population of fewer than eight, all train and validate (`validation.roles`).
     """
     seen = {camera.camera_id: camera for camera in cameras if camera.split == "seen"}
-    _, teachers, judges = roles(list(seen))
+    _, training, validating = roles(list(seen))
     return (
-        [camera for name, camera in seen.items() if name in teachers],
-        [camera for name, camera in seen.items() if name in judges],
+        [camera for name, camera in seen.items() if name in training],
+        [camera for name, camera in seen.items() if name in validating],
     )
 
 
-def _make(fleet: Fleet, job: tuple[str, int, Path]) -> None:
+def _make(population: Population, job: tuple[str, int, Path]) -> None:
     camera_id, seed, path = job
-    save_task(scene_task(fleet, camera_id, seed), path)
+    save_task(scene_task(population, camera_id, seed), path)
 
 
-def _digest(fleet: Fleet, scene_seed: int) -> str:
+def _digest(population: Population, scene_seed: int) -> str:
     """Everything that a camera's data depend on, as a few letters."""
-    content = fleet.model_dump(include={"duration_s", "seed", "tilt_deg", "map"}) | {
+    content = population.model_dump(include={"duration_s", "seed", "tilt_deg", "map"}) | {
         "scene": scene_seed
     }
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:8]

@@ -1,4 +1,4 @@
-"""A study: a fleet's cameras, models trained on the seen ones, and all models judged on all."""
+"""A study: the cameras of a population, models trained on some, all models measured on all."""
 
 from __future__ import annotations
 
@@ -11,26 +11,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import InputFileError
-from geoorbit_ros.learning.history import Round, save_history
 from geoorbit_ros.learning.local_training import Examples
 from geoorbit_ros.learning.loss_table import LossTable
-from geoorbit_ros.learning.meta_learner import MetaLearner
-from geoorbit_ros.learning.model_file import save_model
+from geoorbit_ros.learning.meta_learner import MetaLearner, save_model
 from geoorbit_ros.learning.parameter_space import DEFAULT_UNIT
-from geoorbit_ros.learning.population import Fleet, load_fleet
+from geoorbit_ros.learning.population import Population, load_population
 from geoorbit_ros.learning.population_cameras import (
-    FleetCamera,
+    PopulationCamera,
     best_parameters,
     examples_of,
-    fleet_cameras,
-    teachers_and_judges,
+    population_cameras,
+    split_seen_cameras,
 )
 from geoorbit_ros.learning.processes import Progress, quiet
-from geoorbit_ros.learning.training import MODES, Mode, RunSettings, TrainedModel, train
-from geoorbit_ros.learning.validation import Jury, gains_of, roles
+from geoorbit_ros.learning.training import (
+    MODES,
+    Mode,
+    Round,
+    RunSettings,
+    TrainedModel,
+    save_history,
+    train,
+)
+from geoorbit_ros.learning.validation import ValidationCameras, gains_of, roles
 from geoorbit_ros.storage.atomic import atomic_output
 
-CAMERAS, FLEET_FILE = "cameras", "fleet.yaml"
+CAMERAS, POPULATION_FILE = "cameras", "population.yaml"
+"""Names in a study's folder."""
+OLD_POPULATION_FILE = "fleet.yaml"
+"""The name in folders that were made before 0.1.0."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,14 +47,14 @@ class Study:
     """A folder that `geoorbit train` fills and `geoorbit evaluate` reads.
 
     Attributes:
-        folder: It holds `fleet.yaml`, `cameras/` and one folder per estimator with a model
+        folder: It holds `population.yaml`, `cameras/` and one folder per estimator with a model
             `<mode>-<seed>.npz`, its history `.csv` and its settings `.json`.
-        fleet: The fleet.
+        population: The population.
         workers: Processes.
     """
 
     folder: Path
-    fleet: Fleet
+    population: Population
     workers: int = 1
 
     def model_path(self, estimator: str, mode: Mode, seed: int) -> Path:
@@ -57,10 +66,10 @@ class Study:
         found = (self.folder / estimator).glob(f"{mode}-*.npz")
         return sorted(found, key=seed_of)
 
-    def cameras(self, seed: int = 0, progress: Progress = quiet) -> list[FleetCamera]:
+    def cameras(self, seed: int = 0, progress: Progress = quiet) -> list[PopulationCamera]:
         """The cameras that training with this seed is about, made where they are not there yet."""
-        fleet = self.fleet.of_draw(seed)
-        return fleet_cameras(fleet, self.folder / CAMERAS, self.workers, progress)
+        population = self.population.of_draw(seed)
+        return population_cameras(population, self.folder / CAMERAS, self.workers, progress)
 
     def trained_seeds(self, estimator: str) -> list[int]:
         """Seeds of all trained models of an estimator, ascending."""
@@ -73,24 +82,25 @@ def seed_of(path: Path) -> int:
     return int(path.stem.rpartition("-")[2])
 
 
-def open_study(folder: Path, fleet_file: Path | None = None, workers: int = 1) -> Study:
-    """The study in a folder; with `fleet_file`, one for that fleet, begun if need be.
+def open_study(folder: Path, population_file: Path | None = None, workers: int = 1) -> Study:
+    """The study in a folder; with `population_file`, one for that population, begun if need be.
 
     Raises:
-        InputFileError: No study there, or one of another fleet.
+        InputFileError: No study there, or one of another population.
     """
-    kept = folder / FLEET_FILE
-    if fleet_file is None:
+    old, kept = folder / OLD_POPULATION_FILE, folder / POPULATION_FILE
+    kept = old if old.exists() and not kept.exists() else kept
+    if population_file is None:
         if not kept.exists():
-            raise InputFileError(str(folder), "no fleet.yaml", "a folder of geoorbit train")
-        return Study(folder, load_fleet(kept), workers)
-    fleet = load_fleet(fleet_file)
-    if kept.exists() and load_fleet(kept) != fleet:
-        raise InputFileError(str(folder), "a study of another fleet", "a new folder")
+            raise InputFileError(str(folder), "no population.yaml", "a folder of geoorbit train")
+        return Study(folder, load_population(kept), workers)
+    population = load_population(population_file)
+    if kept.exists() and load_population(kept) != population:
+        raise InputFileError(str(folder), "a study of another population", "a new folder")
     if not kept.exists():
         with atomic_output(kept) as path:
-            path.write_bytes(fleet_file.read_bytes())
-    return Study(folder, fleet, workers)
+            path.write_bytes(population_file.read_bytes())
+    return Study(folder, population, workers)
 
 
 def train_study(
@@ -103,15 +113,15 @@ def train_study(
 ) -> dict[tuple[Mode, int], TrainedModel]:
     """Train one model per mode and seed, and write each; a rejected one becomes the defaults.
 
-    A model is accepted only if the judges among the seen cameras, from which it has learned
-    nothing, find it better than the default parameters (`federated.rounds.verdict`).
+    A model is accepted only if it is better than the default parameters on the validation cameras,
+    from which it has learned nothing (`federated.rounds.verdict`).
 
     Raises:
         InputFileError: No seen camera on which a lane can be found.
     """
     models: dict[tuple[Mode, int], TrainedModel] = {}
-    for draw in range(min(study.fleet.draws, len(seeds))):
-        drawn = [seed for seed in seeds if seed % study.fleet.draws == draw]
+    for draw in range(min(study.population.draws, len(seeds))):
+        drawn = [seed for seed in seeds if seed % study.population.draws == draw]
         models |= _train_draw(study, estimator, modes, drawn, settings, progress)
     return models
 
@@ -126,15 +136,15 @@ def _train_draw(
 ) -> dict[tuple[Mode, int], TrainedModel]:
     """The models of seeds that share their cameras."""
     cameras = study.cameras(seeds[0], progress)
-    teachers, judges = teachers_and_judges(cameras)
+    training, validating = split_seen_cameras(cameras)
     best = best_parameters(
-        teachers, estimator, study.folder / CAMERAS, study.workers, progress=progress
+        training, estimator, study.folder / CAMERAS, study.workers, progress=progress
     )
-    examples = examples_of(teachers, best)
+    examples = examples_of(training, best)
     if not examples:
         raise InputFileError(str(study.folder), "no seen camera with a lane", "more traffic")
     table = LossTable(
-        {camera.camera_id: camera.path for camera in [*teachers, *judges]},
+        {camera.camera_id: camera.path for camera in [*training, *validating]},
         estimator,
         "supervision",
         study.workers,
@@ -144,7 +154,7 @@ def _train_draw(
         asked = [(name, learner.predict_unit(examples[name].features[0])) for name in names]
         return np.array([losses.total for losses in table.losses(asked)])
 
-    jury = jury_of(cameras, examples, table)
+    validation = validation_cameras(cameras, examples, table)
     models: dict[tuple[Mode, int], TrainedModel] = {}
     for mode in modes:
         for seed in seeds:
@@ -155,7 +165,7 @@ def _train_draw(
             def show(entry: Round, what: str = what) -> None:
                 progress(what, entry.number / (settings.rounds + 1))
 
-            model = train(mode, examples, composite, chosen, show, jury)
+            model = train(mode, examples, composite, chosen, show, validation)
             if not model.verdict.accepted:
                 model = replace(model, learner=MetaLearner.untrained(seed))
             models[mode, seed] = model
@@ -163,25 +173,25 @@ def _train_draw(
     return models
 
 
-def jury_of(
-    cameras: Sequence[FleetCamera], examples: dict[str, Examples], table: LossTable
-) -> Jury:
-    """The judges of a study; where everybody judges, those who also teach."""
+def validation_cameras(
+    cameras: Sequence[PopulationCamera], examples: dict[str, Examples], table: LossTable
+) -> ValidationCameras:
+    """The validation cameras of a study; where all validate, those that also train."""
     seen = [camera for camera in cameras if camera.split == "seen"]
     divisor, _, names = roles([camera.camera_id for camera in seen])
-    judges = [
+    chosen = [
         camera
         for camera in seen
         if camera.camera_id in names and (divisor > 1 or camera.camera_id in examples)
     ]
 
     def gains(learner: MetaLearner) -> list[float]:
-        asked = [(camera.camera_id, learner.predict_unit(camera.features)) for camera in judges]
-        fixed = [(camera.camera_id, DEFAULT_UNIT) for camera in judges]
+        asked = [(camera.camera_id, learner.predict_unit(camera.features)) for camera in chosen]
+        fixed = [(camera.camera_id, DEFAULT_UNIT) for camera in chosen]
         losses = table.losses([*asked, *fixed])
-        return gains_of(losses[: len(judges)], losses[len(judges) :])
+        return gains_of(losses[: len(chosen)], losses[len(chosen) :])
 
-    return Jury(tuple(camera.camera_id for camera in judges), divisor, gains)
+    return ValidationCameras(tuple(camera.camera_id for camera in chosen), divisor, gains)
 
 
 def _write_model(path: Path, model: TrainedModel, settings: RunSettings) -> None:

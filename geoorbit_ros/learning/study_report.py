@@ -15,12 +15,10 @@ import numpy as np
 from geoorbit_ros.federated.rounds.traffic import Traffic, bits_per_second
 from geoorbit_ros.learning.camera_task import load_task
 from geoorbit_ros.learning.evaluation import BASELINE, FEDMETA, META, CameraResult, ModelResult
-from geoorbit_ros.learning.history import Round, load_history
-from geoorbit_ros.learning.meta_learner import MetaLearner
-from geoorbit_ros.learning.model_file import load_model
-from geoorbit_ros.learning.population_cameras import teachers_and_judges
+from geoorbit_ros.learning.meta_learner import MetaLearner, load_model
+from geoorbit_ros.learning.population_cameras import split_seen_cameras
 from geoorbit_ros.learning.study import Study
-from geoorbit_ros.learning.training import MODES, Mode
+from geoorbit_ros.learning.training import MODES, Mode, Round, load_history
 from geoorbit_ros.metrics.lane_score import Tally
 from geoorbit_ros.metrics.paper_losses import TERMS
 
@@ -136,8 +134,8 @@ def recording_table(rows: Sequence[ModelResult], estimator: str) -> Table:
 
 def communication_table(study: Study, estimator: str) -> Table:
     """The paper's table of communication: what has to leave the cameras."""
-    teachers, _ = teachers_and_judges(study.cameras())
-    tracks = sum(load_task(camera.path).tracks.rows.nbytes for camera in teachers)
+    training, _ = split_seen_cameras(study.cameras())
+    tracks = sum(load_task(camera.path).tracks.rows.nbytes for camera in training)
     header = ("", "Baseline", META, FEDMETA)
     federated = study.models(estimator, "federated")
     if not federated:
@@ -145,13 +143,13 @@ def communication_table(study: Study, estimator: str) -> Table:
     about = json.loads(federated[0].with_suffix(".json").read_text(encoding="utf-8"))
     traffic, rounds = Traffic(**about["traffic"]), int(about["settings"]["rounds"])
     size = _model_bytes(load_model(federated[0]))
-    duration = rounds * study.fleet.duration_s
+    duration = rounds * study.population.duration_s
     bps = bits_per_second(traffic.total_bytes, duration)
-    track_bps = bits_per_second(tracks, study.fleet.duration_s)
+    track_bps = bits_per_second(tracks, study.population.duration_s)
     kilo = [f"{value / 1e3:,.1f}" for value in (size, traffic.up_bytes, traffic.down_bytes, tracks)]
     body = [
         ["model, kB", "0", "0", kilo[0]],
-        ["clients", *[str(len(teachers))] * 2, str(traffic.up_messages // rounds)],
+        ["clients", *[str(len(training))] * 2, str(traffic.up_messages // rounds)],
         ["rounds", "1", "1", str(rounds)],
         ["encoding", "–", "–", str(about["settings"]["encoding"])],
         ["updates up, kB", "0", "0", kilo[1]],
@@ -161,7 +159,7 @@ def communication_table(study: Study, estimator: str) -> Table:
     ]
     title = (
         f"Communication, {estimator}: ground tracks instead of video; one round per "
-        f"observation of {study.fleet.duration_s:g} s"
+        f"observation of {study.population.duration_s:g} s"
     )
     return Table(title, header, body)
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field, fields
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.core.errors import InputFileError
 from geoorbit_ros.federated.encodings.encoding import make_encoding
 from geoorbit_ros.federated.keys import Member, Roster
 from geoorbit_ros.federated.payloads.global_model import interface_digest
@@ -17,10 +20,9 @@ from geoorbit_ros.federated.rounds.in_process import run_in_process
 from geoorbit_ros.federated.rounds.server import FederatedServer
 from geoorbit_ros.federated.rounds.server_config import ServerConfig
 from geoorbit_ros.federated.rounds.traffic import Traffic
-from geoorbit_ros.federated.rounds.verdict import NOBODY_ASKED, Verdict
+from geoorbit_ros.federated.rounds.verdict import NOT_VALIDATED, Verdict
 from geoorbit_ros.federated.strategies.strategy import make_strategy
 from geoorbit_ros.learning.features import FEATURE_NAMES
-from geoorbit_ros.learning.history import Round
 from geoorbit_ros.learning.local_training import (
     Examples,
     TrainingSettings,
@@ -29,10 +31,29 @@ from geoorbit_ros.learning.local_training import (
 )
 from geoorbit_ros.learning.meta_learner import MetaLearner
 from geoorbit_ros.learning.parameter_space import PARAMETER_NAMES
-from geoorbit_ros.learning.validation import Jury
+from geoorbit_ros.learning.validation import ValidationCameras
+from geoorbit_ros.storage.atomic import atomic_output
 
 Mode = Literal["central", "federated"]
 MODES: tuple[Mode, ...] = ("central", "federated")
+
+
+@dataclass(frozen=True, slots=True)
+class Round:
+    """The model before a round's training, over all seen cameras.
+
+    Attributes:
+        number: From 1.
+        parameter_loss: Mean L_param.
+        parameter_loss_std: Its standard deviation over the cameras.
+        composite_loss: Mean L_total.
+    """
+
+    number: int
+    parameter_loss: float
+    parameter_loss_std: float
+    composite_loss: float
+
 
 CompositeLoss = Callable[[MetaLearner, Sequence[str]], NDArray[np.float64]]
 """(N,) L_total of the named cameras with the theta that a learner predicts for them."""
@@ -79,13 +100,13 @@ class TrainedModel:
         learner: f_phi.
         rounds: Its history; the last entry is the final model, one beyond the last round.
         traffic: What crossed the wire; nothing in central training.
-        verdict: What the judges say of it.
+        verdict: Whether it is better than the defaults.
     """
 
     learner: MetaLearner
     rounds: tuple[Round, ...]
     traffic: Traffic
-    verdict: Verdict = NOBODY_ASKED
+    verdict: Verdict = NOT_VALIDATED
 
 
 def train(
@@ -94,9 +115,9 @@ def train(
     composite: CompositeLoss,
     settings: RunSettings,
     on_round: Callable[[Round], None] | None = None,
-    jury: Jury | None = None,
+    validation: ValidationCameras | None = None,
 ) -> TrainedModel:
-    """Train on the examples of many cameras, by camera id, and have the model judged.
+    """Train on the examples of many cameras, by camera id, and validate the model.
 
     Both modes start from the same weights and take the same gradient steps on the same loss; one
     has all examples in one place, the other leaves each on its camera.
@@ -119,9 +140,9 @@ def train(
     start = MetaLearner.untrained(settings.seed)
     if mode == "central":
         learner = _train_central(examples, settings, start, measure)
-        verdict, traffic = jury.verdict(learner) if jury else NOBODY_ASKED, Traffic()
+        verdict, traffic = validation.verdict(learner) if validation else NOT_VALIDATED, Traffic()
     else:
-        learner, verdict, traffic = _train_federated(examples, settings, start, measure, jury)
+        learner, verdict, traffic = _train_federated(examples, settings, start, measure, validation)
     measure(learner, last=True)
     return TrainedModel(learner, tuple(history), traffic, verdict)
 
@@ -154,7 +175,7 @@ def _train_federated(
     settings: RunSettings,
     learner: MetaLearner,
     measure: _Measure,
-    jury: Jury | None,
+    validation: ValidationCameras | None,
 ) -> tuple[MetaLearner, Verdict, Traffic]:
     interface = interface_digest(FEATURE_NAMES, PARAMETER_NAMES)
     config = ServerConfig(
@@ -163,55 +184,100 @@ def _train_federated(
         clients_per_round=settings.clients_per_round,
         encoding=settings.encoding,
         interface=interface,
-        judges=jury.divisor if jury else 0,
+        validation_divisor=validation.divisor if validation else 0,
         seed=settings.seed,
     )
-    names = list(dict.fromkeys([*examples, *(jury.names if jury else ())]))
+    names = list(dict.fromkeys([*examples, *(validation.names if validation else ())]))
     roster = Roster([Member(name, None) for name in names])
     server = FederatedServer(config, learner.tensors(), roster, make_strategy(settings.strategy))
     clients = [
         FederatedClient(name, encoding=make_encoding(settings.encoding), interface=interface)
         for name in names
     ]
+    work = _LocalWork(examples, settings, measure, validation)
+    traffic = run_in_process(server, clients, work.answer)
+    return MetaLearner.from_tensors(server.published), server.verdict, traffic
 
-    def gains_in(learner: MetaLearner, number: int) -> dict[str, float]:
-        """Gains by judge, in the rounds in which lanes are estimated anew; elsewhere they abstain.
 
-        Only the verdict on the last model decides.
-        """
-        last = number > settings.rounds or not np.isnan(settings.stop_below)
-        if jury is None or not (last or (number - 1) % settings.loss_period == 0):
-            return {}
-        return dict(zip(jury.names, jury.gains(learner), strict=True))
+@dataclass(frozen=True, slots=True)
+class _LocalWork:
+    """What all cameras of a round do: train, validate, or both."""
 
-    def train_many(asked: Sequence[tuple[FederatedClient, Work]]) -> list[LocalResult]:
+    examples: dict[str, Examples]
+    settings: RunSettings
+    measure: _Measure
+    validation: ValidationCameras | None
+
+    def answer(self, asked: Sequence[tuple[FederatedClient, Work]]) -> list[LocalResult]:
+        """The results of the clients of a round, in their order."""
         if not asked:
             return []
         learner = MetaLearner.from_tensors(asked[0][1].tensors)
-        training = any(work.order.teach for _, work in asked)
-        losses = measure(learner) if training else {}
-        gains = gains_in(learner, asked[0][1].round)
-        results = []
-        for client, work in asked:
-            gain = gains.get(client.camera_id, float("nan")) if work.order.judge else float("nan")
-            if not work.order.teach:
-                results.append(LocalResult({}, 0, 0.0, gain))
-                continue
-            delta, count, _ = train_locally(
-                work.tensors,
-                examples[client.camera_id],
-                settings.training,
-                work.order.proximal_mu,
-                _noise_seed(settings, work.round, client.id),
-            )
-            results.append(LocalResult(delta, count, losses[client.camera_id], gain))
-        return results
+        training = any(work.order.train for _, work in asked)
+        losses = self.measure(learner) if training else {}
+        gains = self._gains(learner, asked[0][1].round)
+        return [
+            self._result(client, work, losses, gains if work.order.validate else {})
+            for client, work in asked
+        ]
 
-    traffic = run_in_process(server, clients, train_many)
-    return MetaLearner.from_tensors(server.published), server.verdict, traffic
+    def _result(
+        self,
+        client: FederatedClient,
+        work: Work,
+        losses: dict[str, float],
+        gains: dict[str, float],
+    ) -> LocalResult:
+        name = client.camera_id
+        gain = gains.get(name, float("nan"))
+        if not work.order.train:
+            return LocalResult({}, 0, 0.0, gain)
+        delta, count, _ = train_locally(
+            work.tensors,
+            self.examples[name],
+            self.settings.training,
+            work.order.proximal_mu,
+            _noise_seed(self.settings, work.round, client.id),
+        )
+        return LocalResult(delta, count, losses[name], gain)
+
+    def _gains(self, learner: MetaLearner, number: int) -> dict[str, float]:
+        """Gains by camera, in the rounds in which lanes are estimated anew; elsewhere none.
+
+        Only the verdict on the last model decides.
+        """
+        last = number > self.settings.rounds or not np.isnan(self.settings.stop_below)
+        due = last or (number - 1) % self.settings.loss_period == 0
+        if self.validation is None or not due:
+            return {}
+        return dict(zip(self.validation.names, self.validation.gains(learner), strict=True))
 
 
 def _noise_seed(settings: RunSettings, number: int, client: int) -> int:
     """Other noise in each round and on each camera, the same in each repetition."""
     sequence = np.random.SeedSequence([settings.seed, number, client])
     return int(sequence.generate_state(1)[0])
+
+
+def save_history(rounds: Sequence[Round], path: Path) -> None:
+    """Write the rounds as CSV."""
+    with atomic_output(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as f:
+        writer = csv.writer(f)
+        writer.writerow(field.name for field in fields(Round))
+        writer.writerows(astuple(entry) for entry in rounds)
+
+
+def load_history(path: Path) -> list[Round]:
+    """Read what `save_history` wrote.
+
+    Raises:
+        InputFileError: Not such a file.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            header, *rows = list(csv.reader(file))
+        if header != [field.name for field in fields(Round)]:
+            raise InputFileError(str(path), f"columns {header}", "a history of geoorbit train")
+        return [Round(int(row[0]), *map(float, row[1:])) for row in rows]
+    except (OSError, ValueError) as error:
+        raise InputFileError(str(path), error, "a history of geoorbit train") from error

@@ -1,4 +1,4 @@
-"""What judges say of a model: how much better or worse than the defaults each camera is with it."""
+"""The verdict on a model: how much better or worse than the defaults each camera is with it."""
 
 from __future__ import annotations
 
@@ -7,28 +7,28 @@ from dataclasses import dataclass
 
 from geoorbit_ros.federated.keys import client_id
 from geoorbit_ros.federated.rounds.verdict import (
-    NOBODY_ASKED,
-    Ballot,
+    NOT_VALIDATED,
+    GainSums,
     Verdict,
-    is_judge,
-    is_teacher,
-    judge_divisor,
+    is_training_client,
+    is_validation_client,
+    validation_divisor,
 )
 from geoorbit_ros.learning.meta_learner import MetaLearner
 from geoorbit_ros.learning.parameter_search import log_loss
 from geoorbit_ros.metrics.paper_losses import LaneLosses
 
-JUDGE_EVERY = 4
-"""One in so many seen cameras is a judge."""
+VALIDATE_EVERY = 4
+"""One in so many seen cameras validates, as in the federation."""
 
 
 @dataclass(frozen=True, slots=True)
-class Jury:
-    """The cameras that judge.
+class ValidationCameras:
+    """Cameras that validate and do not train.
 
     Attributes:
         names: Their names.
-        divisor: Who they are, as `federated.verdict.is_judge` has it.
+        divisor: Who they are, as `federated.verdict.is_validation_client` has it.
         gains: Their gains with a model, in the order of `names`.
     """
 
@@ -37,7 +37,7 @@ class Jury:
     gains: Callable[[MetaLearner], list[float]]
 
     def verdict(self, learner: MetaLearner) -> Verdict:
-        """What they say of a model."""
+        """Their verdict on a model."""
         return verdict_of(self.gains(learner))
 
 
@@ -47,18 +47,22 @@ def gains_of(model: Sequence[LaneLosses], fixed: Sequence[LaneLosses]) -> list[f
 
 
 def verdict_of(gains: Sequence[float]) -> Verdict:
-    """The verdict; with fewer than two judges nothing can be said, and the model is used."""
-    return Ballot.of(gains).verdict() or NOBODY_ASKED
+    """The verdict; with fewer than two gains there is none, and the model is used."""
+    return GainSums.of(gains).verdict() or NOT_VALIDATED
 
 
 def roles(camera_ids: Sequence[str]) -> tuple[int, frozenset[str], frozenset[str]]:
-    """Who teaches and who judges among cameras, by the rule of the federation.
+    """Which cameras train and which validate, by the rule of the federation.
 
     Returns:
-        The divisor, teachers, and judges; in a small fleet everybody is both.
+        The divisor, training cameras, and validation cameras; in a small population all are both.
     """
     numbers = {name: client_id(name, None) for name in camera_ids}
-    divisor = judge_divisor(numbers.values(), JUDGE_EVERY)
-    teachers = frozenset(name for name, number in numbers.items() if is_teacher(number, divisor))
-    judges = frozenset(name for name, number in numbers.items() if is_judge(number, divisor))
-    return divisor, teachers, judges
+    divisor = validation_divisor(numbers.values(), VALIDATE_EVERY)
+    training = frozenset(
+        name for name, number in numbers.items() if is_training_client(number, divisor)
+    )
+    validating = frozenset(
+        name for name, number in numbers.items() if is_validation_client(number, divisor)
+    )
+    return divisor, training, validating

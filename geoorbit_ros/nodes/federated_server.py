@@ -19,7 +19,7 @@ from geoorbit_ros.federated.privacy.message import SCHEMA as SECURE
 from geoorbit_ros.federated.rounds.server import FederatedServer
 from geoorbit_ros.federated.rounds.server_config import ServerConfig
 from geoorbit_ros.federated.rounds.status import server_facts, status_text
-from geoorbit_ros.federated.rounds.verdict import MIN_JUDGES, judge_divisor
+from geoorbit_ros.federated.rounds.verdict import MIN_VALIDATION_CLIENTS, validation_divisor
 from geoorbit_ros.federated.strategies.strategy import StrategySettings, make_strategy
 from geoorbit_ros.learning.camera_session import INTERFACE, starting_learner
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
@@ -49,7 +49,7 @@ class FederatedServerParameters:
     target_loss: float
     clients_per_round: int
     selection: str
-    judge_every: int
+    validate_every: int
     quorum: float
     deadline_s: float
     max_staleness: int
@@ -67,11 +67,11 @@ class FederatedServerParameters:
 
     def config(self, run: int, roster: Roster) -> ServerConfig:
         """The part that the state machine takes."""
-        least = MIN_CLIENTS if self.secure_aggregation else MIN_JUDGES
-        judges = judge_divisor(roster, self.judge_every, least)
+        least = MIN_CLIENTS if self.secure_aggregation else MIN_VALIDATION_CLIENTS
+        divisor = validation_divisor(roster, self.validate_every, least)
         shared = {f.name for f in fields(ServerConfig)} & {f.name for f in fields(self)}
         values = {name: getattr(self, name) for name in shared}
-        return ServerConfig(run=run, interface=INTERFACE, judges=judges, **values)
+        return ServerConfig(run=run, interface=INTERFACE, validation_divisor=divisor, **values)
 
     def settings(self) -> StrategySettings:
         """The part that strategies take."""
@@ -89,7 +89,7 @@ class FederatedServerNode(GeoOrbitNode[FederatedServerParameters]):
     struct = FederatedServerParameters
 
     def setup(self) -> None:
-        """Take up the checkpoint if there is one, and announce the open round."""
+        """Take up the checkpoint if there is one, and send the open round."""
         if self.p.secure_aggregation and self.p.reliability != "reliable":
             found = "secure_aggregation with reliability best_effort"
             raise FederationError("federated_server", found, "reliable: its steps are sent once")

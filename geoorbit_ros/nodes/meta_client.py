@@ -17,7 +17,7 @@ from geoorbit_ros.federated.encodings.encoding import EncodingSettings, make_enc
 from geoorbit_ros.federated.keys import Signer, public_key, read_private_key
 from geoorbit_ros.federated.rounds.client import FederatedClient
 from geoorbit_ros.learning.camera_session import INTERFACE, CameraSession
-from geoorbit_ros.learning.model_file import load_model
+from geoorbit_ros.learning.meta_learner import load_model
 from geoorbit_ros.learning.processes import BackgroundProcess
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.nodes.support.byte_topic import PayloadPublisher, subscribe_payloads
@@ -81,7 +81,7 @@ class MetaClientNode(GeoOrbitNode[MetaClientParameters]):
         )
         if p.model_file:
             self.session.learner = load_model(Path(p.model_file))
-        self._outbox = b""
+        self._resend = b""
         self._theta = PayloadPublisher(self, "lane_parameters", LATCHED)
         self._updates = PayloadPublisher(self, "/federated/client_update", updates_qos())
         TableStream(self, "tracks", TRACK_DTYPE, p, self.session.add, self.session.restart)
@@ -96,7 +96,7 @@ class MetaClientNode(GeoOrbitNode[MetaClientParameters]):
         return {**self.session.facts(), "sent_bytes": self._updates.sent_bytes}
 
     def close(self) -> None:
-        """Leave training where it is: the round is announced again to whoever comes back."""
+        """Leave training where it is: the server sends the round again when the client is back."""
         self._training.kill()
 
     def _on_step(self, payload: bytes) -> None:
@@ -108,14 +108,14 @@ class MetaClientNode(GeoOrbitNode[MetaClientParameters]):
 
     def _on_time(self) -> None:
         try:
-            self._outbox = self.session.poll(time.monotonic()) or self._outbox
+            self._resend = self.session.poll(time.monotonic()) or self._resend
             theta = self.session.theta()
         except GeoOrbitError as error:
             self.diagnostics.refuse(error)
             return
-        if self._outbox and self._updates.subscribers:  # else it would go to nobody
-            self._updates.publish(self._outbox)
-            self._outbox = b""
+        if self._resend and self._updates.subscribers:  # else nothing would receive it
+            self._updates.publish(self._resend)
+            self._resend = b""
         if theta is not None:
             self._theta.publish(theta)
 

@@ -23,7 +23,7 @@ from made_up_lanes import made_up_reference, made_up_tracks
 from geoorbit_ros.federated.payloads.model_layout import Tensors
 from geoorbit_ros.federated.rounds.client import LocalResult, TrainingOrder
 from geoorbit_ros.learning import camera_session
-from geoorbit_ros.learning.camera_learning import Lesson
+from geoorbit_ros.learning.camera_learning import LearningResult
 from geoorbit_ros.nodes.meta_client import MetaClientNode
 from geoorbit_ros.nodes.support.process import make_executor
 
@@ -33,7 +33,7 @@ LIMIT_S = 200.0
 def lesson(camera_id: str, tensors: Tensors, order: TrainingOrder) -> LocalResult:
     """Deterministic local training that depends on camera, round and model."""
     gain = -0.1 * (len(camera_id) + order.round)
-    if not order.teach:
+    if not order.train:
         return LocalResult({}, 0, 1.0 / order.round, gain)
     generator = np.random.default_rng([order.round, *camera_id.encode()])
     delta = {
@@ -47,14 +47,14 @@ def main() -> int:
     name, key_file, server_key, place, *encoding = sys.argv[1:]
     folder = Path(place)
 
-    def learned(task: Any, _: str, tensors: Any, order: Any, _best: Any = None) -> Lesson:
+    def learned(task: Any, _: str, tensors: Any, order: Any, _best: Any = None) -> LearningResult:
         (folder / f"{name}.learning").write_text(str(order.round))
         deadline, go = time.monotonic() + LIMIT_S, folder / f"{name}.go"
         while go.exists() and int(go.read_text() or 0) < order.round:
             if time.monotonic() > deadline:
                 raise TimeoutError(f"{go} stays below {order.round}")
             time.sleep(0.05)
-        return Lesson(lesson(task.camera_id, tensors, order), np.zeros(3))
+        return LearningResult(lesson(task.camera_id, tensors, order), np.zeros(3))
 
     setattr(camera_session, "learn_from_camera", learned)  # noqa: B010
     rclpy.init()

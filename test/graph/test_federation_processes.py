@@ -23,7 +23,7 @@ from geoorbit_ros.federated.rounds.client import FederatedClient
 from geoorbit_ros.federated.rounds.in_process import run_in_process
 from geoorbit_ros.federated.rounds.server import FederatedServer
 from geoorbit_ros.federated.rounds.server_config import ServerConfig
-from geoorbit_ros.federated.rounds.server_state import Ledger, ServerState, read_checkpoint
+from geoorbit_ros.federated.rounds.server_state import Answers, ServerState, read_checkpoint
 from geoorbit_ros.learning.camera_session import INTERFACE
 from geoorbit_ros.learning.meta_learner import MetaLearner
 from geoorbit_ros.nodes.support.composition import DomainClaim
@@ -32,7 +32,7 @@ REPOSITORY = Path(__file__).parents[2]
 CAMERAS = ("north", "south")
 ROUNDS = 3
 LIMIT_S = 180.0
-CONFIG = ServerConfig(rounds=ROUNDS, encoding="top_k", interface=INTERFACE, judges=1)
+CONFIG = ServerConfig(rounds=ROUNDS, encoding="top_k", interface=INTERFACE, validation_divisor=1)
 
 
 def signer_of(name: str) -> Signer:
@@ -118,7 +118,7 @@ class Processes:
     def state(self) -> ServerState | None:
         path = self.folder / "server.npz"
         layout = new_server(Roster.read(self.folder / "roster.txt")).layout
-        return read_checkpoint(path, layout, Ledger(()))
+        return read_checkpoint(path, layout, Answers(()))
 
 
 @pytest.fixture

@@ -32,7 +32,7 @@ from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.lanes.mapping.mapper import LaneMapper
 from geoorbit_ros.lanes.parameters import LaneParameters
 from geoorbit_ros.learning import camera_session
-from geoorbit_ros.learning.camera_learning import Lesson
+from geoorbit_ros.learning.camera_learning import LearningResult
 from geoorbit_ros.learning.meta_learner import MetaLearner
 from geoorbit_ros.nodes.federated_server import FederatedServerNode
 from geoorbit_ros.nodes.lane_geometry import LaneGeometryNode
@@ -139,16 +139,16 @@ class AtOnce(Executor):
         return future
 
 
-def learned(task: Any, _: str, tensors: Any, order: Any, _best: Any = None) -> Lesson:
+def learned(task: Any, _: str, tensors: Any, order: Any, _best: Any = None) -> LearningResult:
     """Local training that moves every head's bias, without any search for theta*."""
     gain = -0.5 if order.round > 1 else 0.0
     assert len(task.supervision) == len(LANE_Y_M)
     assert task.tracks.stamp_ns[0] == START_NS
-    if not order.teach:
-        return Lesson(LocalResult({}, 0, 2.0 / order.round, gain), None)
+    if not order.train:
+        return LearningResult(LocalResult({}, 0, 2.0 / order.round, gain), None)
     delta = {name: np.zeros_like(value) for name, value in tensors.items()}
     delta["heads.bias"] += np.float32(0.1)
-    return Lesson(LocalResult(delta, 1, 2.0 / order.round, gain), np.zeros(3))
+    return LearningResult(LocalResult(delta, 1, 2.0 / order.round, gain), np.zeros(3))
 
 
 @pytest.mark.parametrize("masks", [False, True], ids=["plain", "masked"])

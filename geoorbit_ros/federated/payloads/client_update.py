@@ -21,7 +21,8 @@ _HEADER_BYTES = len(_HEADER) + _FIELDS.size
 class ClientUpdate:
     """See msg_defs/ClientUpdate.msg, whose fields these are.
 
-    Without examples (`sample_count` 0) and data it is a judge's: it says `gain`, no more.
+    Without examples (`sample_count` 0) and data it comes from a validation client and says only
+    `gain`.
     """
 
     encoding: int
@@ -69,6 +70,6 @@ class ClientUpdate:
         if length != end - _HEADER_BYTES:
             reason = Refusal.TRUNCATED if length > end - _HEADER_BYTES else Refusal.TOO_LONG
             found = f"{end - _HEADER_BYTES} bytes of data"
-            raise PayloadError(reason, SCHEMA, found, f"the {length} it announces")
+            raise PayloadError(reason, SCHEMA, found, f"the {length} it names")
         data = payload[_HEADER_BYTES:end]
         return cls(encoding, number, model, client, samples, loss, gain, data)

@@ -12,7 +12,7 @@ from geoorbit_ros.federated.payloads.header import PayloadReader, begin_payload
 from geoorbit_ros.federated.payloads.model_layout import ModelLayout
 
 SCHEMA, VERSION = "model", 3
-FINAL, MASKED, ASYNCHRONOUS, JUDGING = 1, 2, 4, 8
+FINAL, MASKED, ASYNCHRONOUS, VALIDATING = 1, 2, 4, 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +26,7 @@ class GlobalModel:
     model: int
     interface: int
     approved: int
-    judges: int
+    validation_divisor: int
     proximal_mu: float
     clients: tuple[int, ...]
     layout: ModelLayout
@@ -37,7 +37,14 @@ class GlobalModel:
         writer = begin_payload(SCHEMA, VERSION)
         writer.number("B", self.encoding)
         writer.number("B", self.flags)
-        numbers = (self.run, self.round, self.model, self.interface, self.approved, self.judges)
+        numbers = (
+            self.run,
+            self.round,
+            self.model,
+            self.interface,
+            self.approved,
+            self.validation_divisor,
+        )
         for number in numbers:
             writer.number("I", number)
         writer.number("f", self.proximal_mu)
@@ -57,7 +64,9 @@ class GlobalModel:
         """
         reader = PayloadReader(payload, SCHEMA, VERSION)
         encoding, flags = reader.whole("B"), reader.whole("B")
-        run, number, model, interface, approved, judges = (reader.whole("I") for _ in range(6))
+        run, number, model, interface, approved, validation_divisor = (
+            reader.whole("I") for _ in range(6)
+        )
         proximal_mu = reader.number("f")
         if not (math.isfinite(proximal_mu) and proximal_mu >= 0):
             found = f"proximal_mu {proximal_mu}"
@@ -74,7 +83,7 @@ class GlobalModel:
             model,
             interface,
             approved,
-            judges,
+            validation_divisor,
             proximal_mu,
             clients,
             layout,

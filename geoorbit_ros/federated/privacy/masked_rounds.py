@@ -16,10 +16,10 @@ from geoorbit_ros.federated.privacy.coordinator import Coordinator
 from geoorbit_ros.federated.privacy.message import SCHEMA, SecureMessage
 from geoorbit_ros.federated.privacy.participant import Participant
 from geoorbit_ros.federated.rounds.open_round import Outcome
-from geoorbit_ros.federated.rounds.verdict import Ballot, shares
+from geoorbit_ros.federated.rounds.verdict import GainSums, gain_terms
 
 EXTRA = 6
-"""Numbers behind the weights: loss, whether it teaches, and what `verdict.shares` gives."""
+"""Numbers behind the weights: loss, whether it trains, and what `verdict.gain_terms` gives."""
 LOSS_SCALE = 1e3
 """Losses travel as thousands behind the weights, so that they fit the weights' range."""
 STAGE_S = 30.0
@@ -28,7 +28,7 @@ STAGE_S = 30.0
 
 def masked_vector(update: ClientUpdate, size: int) -> NDArray[np.float32]:
     """What a client hides: its weights, its loss, its gain; shape (size + EXTRA,)."""
-    extra = [0.0, 0.0, *shares(update.gain)]
+    extra = [0.0, 0.0, *gain_terms(update.gain)]
     delta = np.zeros(size, np.float32)
     if update.sample_count:
         delta = Float32().decode(update.data, size)
@@ -90,11 +90,16 @@ class MaskedRound:
             raise FederationError("secure aggregation", "no survivors", "clients enough")
         total = self.coordinator.total()
         weights, (loss, count, *sums) = total[:-EXTRA], total[-EXTRA:].tolist()
-        teachers = round(count)
-        ballot = Ballot.of_sums(sums)
-        if teachers == 0:
-            return Outcome(np.zeros_like(weights), float("nan"), 0, ballot)
-        return Outcome(weights / teachers, loss / teachers * LOSS_SCALE, teachers, ballot)
+        training_clients = round(count)
+        gains = GainSums.of_sums(sums)
+        if training_clients == 0:
+            return Outcome(np.zeros_like(weights), float("nan"), 0, gains)
+        return Outcome(
+            weights / training_clients,
+            loss / training_clients * LOSS_SCALE,
+            training_clients,
+            gains,
+        )
 
 
 class MaskedClient:

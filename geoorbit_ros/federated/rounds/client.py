@@ -15,8 +15,8 @@ from geoorbit_ros.federated.payloads.client_update import ClientUpdate
 from geoorbit_ros.federated.payloads.global_model import (
     ASYNCHRONOUS,
     FINAL,
-    JUDGING,
     MASKED,
+    VALIDATING,
     GlobalModel,
 )
 from geoorbit_ros.federated.payloads.header import UNSIGNED, schema_of
@@ -30,7 +30,7 @@ from geoorbit_ros.federated.rounds.client_state import (
     write_client_state,
 )
 from geoorbit_ros.federated.rounds.local_work import LocalResult, Train, TrainingOrder, Work
-from geoorbit_ros.federated.rounds.verdict import is_judge, is_teacher
+from geoorbit_ros.federated.rounds.verdict import is_training_client, is_validation_client
 
 __all__ = ["FederatedClient", "LocalResult", "Train", "TrainingOrder", "Work"]
 
@@ -99,7 +99,7 @@ class FederatedClient:
 
     @property
     def used_tensors(self) -> Tensors | None:
-        """The newest model that judges approved of; None when the defaults are to be used."""
+        """The newest model that was approved; None when the defaults are to be used."""
         state = self._state
         return state.layout.unflatten(state.used_model) if state and state.used else None
 
@@ -123,7 +123,7 @@ class FederatedClient:
         """Take a `GlobalModel` or `ModelDelta`.
 
         Returns:
-            What to do: train, judge, or send an update again. None when not selected, or when
+            What to do: train, validate, or send an update again. None when not selected, or when
             training is over.
 
         Raises:
@@ -142,10 +142,13 @@ class FederatedClient:
         order = TrainingOrder(
             state.round,
             state.proximal_mu,
-            teach=selected and is_teacher(self.id, state.judges) and not flags & JUDGING,
-            judge=is_judge(self.id, state.judges) and (selected or state.judges > 1),
+            train=selected
+            and is_training_client(self.id, state.validation_divisor)
+            and not flags & VALIDATING,
+            validate=is_validation_client(self.id, state.validation_divisor)
+            and (selected or state.validation_divisor > 1),
         )
-        if self.finished or not (order.teach or order.judge):
+        if self.finished or not (order.train or order.validate):
             return None
         self._masks, ready = bool(flags & MASKED), b""
         if state.answered == state.round and state.answered_model == state.digest:
@@ -168,14 +171,14 @@ class FederatedClient:
         if work.ready:
             return work.ready
         state = self._state
-        in_time_only = not (self._asynchronous and work.order.teach)
+        in_time_only = not (self._asynchronous and work.order.train)
         late = state is not None and state.round != work.round and in_time_only
         if state is None or late or state.answered >= work.round or not _usable(result, work.order):
             return None
         if self._masks:
             return self._hide(state, work, result)
         data = b""
-        if work.order.teach:
+        if work.order.train:
             feedback = ErrorFeedback(self._encoding, state.layout.size)
             feedback.residual = state.residual
             data = feedback.encode(state.layout.flatten(result.delta))
@@ -217,8 +220,8 @@ class FederatedClient:
 
     def _hide(self, state: ClientState, work: Work, result: LocalResult) -> bytes:
         """Keep the update, unsent, and begin to take part in a masked sum with it."""
-        teach = work.order.teach
-        data = Float32().encode(state.layout.flatten(result.delta)) if teach else b""
+        train = work.order.train
+        data = Float32().encode(state.layout.flatten(result.delta)) if train else b""
         update = self._update(Float32().code, work, result, data)
         state.update = update.unsigned() + UNSIGNED
         state.answered, state.answered_model = work.round, work.model
@@ -232,7 +235,7 @@ class FederatedClient:
             work.round,
             work.model,
             self.id,
-            result.sample_count if work.order.teach else 0,
+            result.sample_count if work.order.train else 0,
             result.loss,
             result.gain,
             data,
@@ -257,7 +260,7 @@ class FederatedClient:
             state = ClientState(model.layout, model.run, 0, vector, 0, 0.0, nothing)
         before = state.digest, state.model
         state.round, state.model, state.digest = model.round, np.array(vector), model.model
-        state.proximal_mu, state.judges = model.proximal_mu, model.judges
+        state.proximal_mu, state.validation_divisor = model.proximal_mu, model.validation_divisor
         self._state = state
         self._use(state, model.approved, before)
         return model.clients, model.flags
@@ -298,11 +301,14 @@ class FederatedClient:
         known = {0: state.model, before[0]: before[1], state.digest: state.model}
         state.used = approved if approved in known else 0
         state.used_model = known[state.used]
-        if self._path and state.used not in (0, state.digest):  # which nobody would send again
+        if self._path and state.used not in (
+            0,
+            state.digest,
+        ):  # which the server will not send again
             write_client_state(self._path, state)
 
     def _check_not_over(self, run: int, number: int, flags: int) -> None:
-        """Refuse an announcement from before the last one, which was for the same model."""
+        """Refuse a broadcast from before the last one, which was for the same model."""
         if self.finished and (run, number) == self.model_of[:2] and not flags & FINAL:
             found = f"round {number}, open"
             raise PayloadError(Refusal.OLD_ROUND, "model", found, "its end, which was heard")
@@ -315,7 +321,7 @@ class FederatedClient:
 
 
 def _usable(result: LocalResult, order: TrainingOrder) -> bool:
-    """Nothing learned, or nothing finite, is nothing to send; neither is a judgement of nothing."""
+    """Nothing learned, or nothing finite, is nothing to send; neither is a verdict on nothing."""
     arrays = result.delta.values()
     finite = all(bool(np.isfinite(a).all()) for a in arrays) and np.isfinite(result.loss)
-    return bool(finite) and (result.sample_count > 0 if order.teach else order.judge)
+    return bool(finite) and (result.sample_count > 0 if order.train else order.validate)

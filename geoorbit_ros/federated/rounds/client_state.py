@@ -42,8 +42,8 @@ class ClientState:
         answered: Round of the last update; 0: none.
         answered_model: Digest of the model it started from.
         update: That update as it was sent.
-        judges: Who judges, see `verdict.is_judge`.
-        used: Digest of the model in use, which judges approved of; 0: none is.
+        validation_divisor: Names the validation clients, see `verdict.is_validation_client`.
+        used: Digest of the model in use, which was approved; 0: none is.
         used_model: Its weights, shape (size,).
     """
 
@@ -57,7 +57,7 @@ class ClientState:
     answered: int = 0
     answered_model: int = 0
     update: bytes = b""
-    judges: int = 0
+    validation_divisor: int = 0
     used: int = 0
     used_model: Vector = field(default_factory=lambda: np.zeros(0, np.float32))
 
@@ -79,7 +79,7 @@ def write_client_state(path: Path, state: ClientState) -> None:
         "answered": state.answered,
         "answered_model": state.answered_model,
         "update": state.update.hex(),
-        "judges": state.judges,
+        "validation_divisor": state.validation_divisor,
         "used": state.used,
     }
     buffer = io.BytesIO()
@@ -119,7 +119,7 @@ def read_client_state(path: Path) -> ClientState | None:
             facts["answered"],
             facts["answered_model"],
             bytes.fromhex(facts["update"]),
-            facts["judges"],
+            facts.get("validation_divisor", facts.get("judges")),
             facts["used"],
             arrays["used_model"],
         )

@@ -18,14 +18,14 @@ class TrainingOrder:
     Attributes:
         round: The round, also to seed whatever is random: the same round gives the same update.
         proximal_mu: FedProx's penalty weight, see `strategies.fedprox.proximal_gradient`; 0: none.
-        teach: Whether to train; else the model is only to be judged.
-        judge: Whether to compare the model with the defaults.
+        train: Whether to train; else the model is only validated.
+        validate: Whether to compare the model with the defaults.
     """
 
     round: int
     proximal_mu: float
-    teach: bool = True
-    judge: bool = False
+    train: bool = True
+    validate: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,8 +33,8 @@ class LocalResult:
     """What local training gives back.
 
     Attributes:
-        delta: New minus old value of every tensor; of who only judges, nothing.
-        sample_count: Examples behind it; 0 of who only judges.
+        delta: New minus old value of every tensor; nothing from a validation client.
+        sample_count: Examples behind it; 0 from a validation client.
         loss: Composite loss of the model as it came, before training.
         gain: What `verdict` says; NaN where nothing was compared.
     """
@@ -51,7 +51,7 @@ Train = Callable[[Tensors, TrainingOrder], LocalResult]
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """What a client has to do about an announcement.
+    """What a client has to do about a broadcast.
 
     Attributes:
         round: The round.

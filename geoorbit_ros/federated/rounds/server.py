@@ -14,38 +14,43 @@ from numpy.typing import NDArray
 from geoorbit_ros.federated.errors import FederationError, PayloadError, Refusal
 from geoorbit_ros.federated.keys import Roster, Signer
 from geoorbit_ros.federated.payloads.client_update import ClientUpdate
-from geoorbit_ros.federated.payloads.global_model import ASYNCHRONOUS, FINAL, JUDGING, MASKED
+from geoorbit_ros.federated.payloads.global_model import ASYNCHRONOUS, FINAL, MASKED, VALIDATING
 from geoorbit_ros.federated.payloads.model_layout import ModelLayout, Tensors, Vector
 from geoorbit_ros.federated.privacy.differential import clipped, normal_noise
 from geoorbit_ros.federated.privacy.masked_rounds import STAGE_S, MaskedRound
-from geoorbit_ros.federated.rounds.admission import Admission
-from geoorbit_ros.federated.rounds.announcer import Announcer
+from geoorbit_ros.federated.rounds.model_broadcast import ModelBroadcast
 from geoorbit_ros.federated.rounds.open_round import OpenRound, Outcome
 from geoorbit_ros.federated.rounds.selection import make_selection
 from geoorbit_ros.federated.rounds.server_config import ServerConfig, check_settings
 from geoorbit_ros.federated.rounds.server_state import (
-    Ledger,
+    Answers,
     RoundRecord,
     ServerState,
     read_checkpoint,
     write_checkpoint,
 )
-from geoorbit_ros.federated.rounds.verdict import NOBODY_ASKED, Verdict, is_judge, is_teacher
-from geoorbit_ros.federated.strategies.fedavg import FedAvg
-from geoorbit_ros.federated.strategies.strategy import Strategy
+from geoorbit_ros.federated.rounds.update_checks import UpdateChecks
+from geoorbit_ros.federated.rounds.verdict import (
+    NOT_VALIDATED,
+    Verdict,
+    is_training_client,
+    is_validation_client,
+)
+from geoorbit_ros.federated.strategies.strategy import FedAvg, Strategy
 
 
 class FederatedServer:
     """Runs rounds: announces a model, takes updates, makes the next model of them.
 
-    It does nothing by itself: whoever drives it (a node, the command line, a test) hands in what
+    It does nothing by itself: its driver (a node, the command line, a test) hands in what
     arrived and what time it is, and sends what comes out to all clients. Each method returns at
     most one payload. All that a round's result depends on is in its checkpoint, which is written
     before the result is announced: killed at any moment and started again, the server announces
     the open round once more, clients send their updates once more, and the result is the same.
 
-    Judges say of each round's model whether it serves them better than the defaults (`verdict`);
-    the next announcement carries the verdict. After the last round they judge the final model.
+    Validation clients report whether each round's model is better for them than the defaults
+    (`verdict`); the next broadcast carries the verdict. After the last round they
+    validate the final model.
 
     Usage::
 
@@ -85,33 +90,37 @@ class FederatedServer:
     ) -> None:
         self.config, self.layout = config, ModelLayout.of(tensors)
         self._members = tuple(roster)
-        self._teachers = tuple(m for m in self._members if is_teacher(m, config.judges))
-        self._judges = tuple(m for m in self._members if is_judge(m, config.judges))
+        self._training_clients = tuple(
+            m for m in self._members if is_training_client(m, config.validation_divisor)
+        )
+        self._validation_clients = tuple(
+            m for m in self._members if is_validation_client(m, config.validation_divisor)
+        )
         self._strategy = strategy or FedAvg()
         self.asynchronous = self._strategy.buffer_size > 0
         self._selection = make_selection(config.selection, config.seed)
-        self._admission = Admission(
+        self._checks = UpdateChecks(
             config, roster, self.layout.size, asynchronous=self.asynchronous
         )
-        self._announcer = Announcer(
+        self._broadcast = ModelBroadcast(
             config,
             self.layout,
             signer or Signer(None, config.federation),
             self._strategy.proximal_mu,
         )
-        counts = (len(m) for m in (self._members, self._teachers, self._judges))
+        counts = (len(m) for m in (self._members, self._training_clients, self._validation_clients))
         check_settings(config, self._strategy, *counts)
         self._checkpoint = checkpoint
         first = self.layout.flatten(tensors)
-        ledger = Ledger(self._members)
-        saved = read_checkpoint(checkpoint, self.layout, ledger) if checkpoint else None
+        answers = Answers(self._members)
+        saved = read_checkpoint(checkpoint, self.layout, answers) if checkpoint else None
         self.resumed = saved is not None
-        self._state = saved or ServerState(config.run, first, first, ledger)
+        self._state = saved or ServerState(config.run, first, first, answers)
         self._strategy.restore(self._state.optimiser)
         self.accepted = 0
         self.refused: Counter[Refusal] = Counter()
         self._selected: frozenset[int] = frozenset()
-        self._wanted = len(self._teachers)
+        self._wanted = len(self._training_clients)
         self._opened_s = self._deadline_s = 0.0
         self._round = self._new_round()
         self._masked: MaskedRound | None = None
@@ -138,7 +147,7 @@ class FederatedServer:
 
     @property
     def finished(self) -> bool:
-        """Whether training is over, and its model judged."""
+        """Whether training is over, and its model validated."""
         return self._state.finished
 
     @property
@@ -148,11 +157,15 @@ class FederatedServer:
 
     @property
     def verdict(self) -> Verdict:
-        """What judges said of the last model that they judged."""
-        last = next((r for r in reversed(self._state.history) if r.judges), None)
+        """The verdict on the last model that was validated."""
+        last = next((r for r in reversed(self._state.history) if r.validation_clients), None)
         if last is None:
-            return NOBODY_ASKED if not self._judges else Verdict(False, math.nan, math.nan, 0)
-        return Verdict(last.approved, last.gain, last.gain_error, last.judges)
+            return (
+                NOT_VALIDATED
+                if not self._validation_clients
+                else Verdict(False, math.nan, math.nan, 0)
+            )
+        return Verdict(last.approved, last.gain, last.gain_error, last.validation_clients)
 
     @property
     def selected(self) -> frozenset[int]:
@@ -165,14 +178,14 @@ class FederatedServer:
         return self._masked.number if self._masked else self._round.number
 
     @property
-    def judged(self) -> int:
-        """Clients that only judge heard so far in the open round; under masks none can be told."""
+    def validated(self) -> int:
+        """Validation clients heard so far in the open round; under masks always 0."""
         return self._round.heard
 
     @property
     def latched(self) -> tuple[bytes, ...]:
         """What to send, oldest first, to a client that joins now."""
-        return tuple(self._announcer.latched)
+        return tuple(self._broadcast.latched)
 
     def start(self, now_s: float) -> bytes:
         """Announce the first round, or after a restart the one that was open.
@@ -184,9 +197,9 @@ class FederatedServer:
             The payload for all clients.
         """
         if not self.resumed:
-            self._announcer.advance(self._state)
+            self._broadcast.advance(self._state)
             self._save()
-        announce = self._announcer.repeat if self.resumed else self._announcer.announce
+        announce = self._broadcast.repeat if self.resumed else self._broadcast.announce
         return announce(self._state, self._open(now_s), self._flags)
 
     def receive(self, payload: bytes, now_s: float) -> bytes | None:
@@ -201,7 +214,7 @@ class FederatedServer:
         try:
             if self._masked is not None:
                 return self._receive_masked(self._masked, payload, now_s)
-            update, vector = self._admission.admit(payload, self._state, self._selected)
+            update, vector = self._checks.check(payload, self._state, self._selected)
         except PayloadError as error:
             self.refused[error.reason] += 1
             raise
@@ -221,34 +234,40 @@ class FederatedServer:
             return None
         if self._masked is not None:
             return self._advance_masked(self._masked, now_s)
-        heard = self.judged if self._state.trained else self.collected
+        heard = self.validated if self._state.trained else self.collected
         if heard >= self._quorum():
             return self._close(self._round.outcome(), now_s)
         return self._again(now_s)
 
     def _take(self, update: ClientUpdate, vector: Vector | None) -> None:
-        """Add an update that was admitted, or a judgement, to the open round."""
-        ledger = self._state.ledger
+        """Add an update that passed the checks, or a gain, to the open round."""
+        answers = self._state.answers
         if vector is None:
-            self._round.judge(update)
-            ledger.note(update.client, update.round)
+            self._round.add_gain(update)
+            answers.note(update.client, update.round)
             return
         if self.config.noise_multiplier:
             weight, vector = 1.0, clipped(vector, self.config.clip_norm)
         else:
             weight = self._strategy.weight(update.sample_count, self.round - update.round)
         self._round.add(update, vector, weight)
-        if update.round == self.round and is_judge(update.client, self.config.judges):
-            self._round.ballot.add(update.gain)
-        ledger.note(update.client, update.round, abs(update.loss) * math.sqrt(update.sample_count))
+        if update.round == self.round and is_validation_client(
+            update.client, self.config.validation_divisor
+        ):
+            self._round.gains.add(update.gain)
+        answers.note(update.client, update.round, abs(update.loss) * math.sqrt(update.sample_count))
 
     @property
     def _complete(self) -> bool:
-        """Whether everybody was heard who is waited for."""
+        """Whether all clients that it waits for were heard."""
         if self._state.trained:
-            return self.judged >= len(self._judges)
-        apart = len(self._judges) if self.config.judges > 1 and not self.asynchronous else 0
-        return self.collected >= self._wanted and self.judged >= apart
+            return self.validated >= len(self._validation_clients)
+        apart = (
+            len(self._validation_clients)
+            if self.config.validation_divisor > 1 and not self.asynchronous
+            else 0
+        )
+        return self.collected >= self._wanted and self.validated >= apart
 
     def _new_round(self) -> OpenRound:
         return OpenRound(self._strategy.collection(self.layout.size), self.layout.size)
@@ -258,12 +277,12 @@ class FederatedServer:
         number = self.config.clients_per_round
         chosen: tuple[int, ...] = ()
         free = self.asynchronous or self._state.trained
-        if 0 < number < len(self._teachers) and not free:
-            utility = self._state.ledger.of(self._teachers)
-            chosen = self._selection.choose(self._teachers, number, self.round, utility)
+        if 0 < number < len(self._training_clients) and not free:
+            utility = self._state.answers.of(self._training_clients)
+            chosen = self._selection.choose(self._training_clients, number, self.round, utility)
         self._selected = frozenset(chosen)
-        # Stays when the round is opened to all: then anybody may stand in for the silent ones.
-        self._wanted = self._strategy.buffer_size or len(chosen) or len(self._teachers)
+        # Stays when the round is opened to all: then any client may stand in for a silent one.
+        self._wanted = self._strategy.buffer_size or len(chosen) or len(self._training_clients)
         self._round = self._new_round()
         self._opened_s = now_s
         self._wait(now_s, chosen)
@@ -275,10 +294,10 @@ class FederatedServer:
         if not self.config.secure_aggregation or self.finished:
             self._masked = None
             return
-        apart = self._judges if self.config.judges > 1 else ()
+        apart = self._validation_clients if self.config.validation_divisor > 1 else ()
         expected = {*clients, *apart} if clients else self._members
         self._masked = MaskedRound(
-            self._judges if self._state.trained else expected,
+            self._validation_clients if self._state.trained else expected,
             self._quorum(),
             self.round,
             self._state.digests[self.round],
@@ -290,14 +309,14 @@ class FederatedServer:
         """Announce the open round once more, to all."""
         self._selected = frozenset()
         self._wait(now_s, ())
-        return self._announcer.repeat(self._state, (), self._flags)
+        return self._broadcast.repeat(self._state, (), self._flags)
 
     def _quorum(self) -> int:
-        wanted = len(self._judges) if self._state.trained else self._wanted
+        wanted = len(self._validation_clients) if self._state.trained else self._wanted
         return max(1, math.ceil(self.config.quorum * wanted))
 
     def _receive_masked(self, masked: MaskedRound, payload: bytes, now_s: float) -> bytes | None:
-        message = self._admission.admit_masked(payload, self._state, self._selected)
+        message = self._checks.check_masked(payload, self._state, self._selected)
         masked.coordinator.take(message)
         self.accepted += 1
         return self._advance_masked(masked, now_s) if masked.coordinator.complete else None
@@ -309,12 +328,12 @@ class FederatedServer:
         message = masked.advance()
         if message is not None:
             self._deadline_s = now_s + min(self.config.deadline_s, STAGE_S)
-            return self._announcer.seal(message.unsigned())
+            return self._broadcast.seal(message.unsigned())
         try:
             outcome = masked.outcome()
-        except FederationError:  # a client lied about its shares: without this attempt, then
+        except FederationError:  # a client sent wrong shares: try again without this attempt
             return self._again(now_s)
-        if outcome.teachers == 0 and not self._state.trained:
+        if outcome.training_clients == 0 and not self._state.trained:
             return self._again(now_s)
         return self._close(outcome, now_s)
 
@@ -326,21 +345,21 @@ class FederatedServer:
             state.finished = True
             self._save()
             self._open(now_s)
-            return self._announcer.again(state, self._flags)
+            return self._broadcast.again(state, self._flags)
         self._advance(outcome)
         self._save()
-        return self._announcer.announce(state, self._open(now_s), self._flags)
+        return self._broadcast.announce(state, self._open(now_s), self._flags)
 
     def _record(self, outcome: Outcome, now_s: float) -> None:
-        """Keep what came of the round; without two judges the last verdict stands."""
+        """Keep what came of the round; without two of them the last verdict stands."""
         state, seconds = self._state, now_s - self._opened_s
-        record = RoundRecord(state.round, outcome.teachers, outcome.loss, seconds)
-        verdict = outcome.ballot.verdict()
+        record = RoundRecord(state.round, outcome.training_clients, outcome.loss, seconds)
+        verdict = outcome.gains.verdict()
         if verdict is not None:
             state.approved = state.digests[state.round] if verdict.accepted else 0
             record = replace(
                 record,
-                judges=verdict.judges,
+                validation_clients=verdict.clients,
                 gain=verdict.gain,
                 gain_error=verdict.error,
                 approved=verdict.accepted,
@@ -352,15 +371,15 @@ class FederatedServer:
         state, config, aggregate = self._state, self.config, outcome.aggregate
         if config.noise_multiplier:
             noise = normal_noise(state.secret, state.round, self.layout.size)
-            spread = config.noise_multiplier * config.clip_norm / outcome.teachers
+            spread = config.noise_multiplier * config.clip_norm / outcome.training_clients
             aggregate = aggregate + spread * noise
         change = self._strategy.step(aggregate)
         state.model = (state.model + change).astype(np.float32)
         state.optimiser = self._strategy.state()
         state.round += 1
         state.trained = state.round > config.rounds or outcome.loss <= config.target_loss
-        state.finished = state.trained and not self._judges
-        self._announcer.advance(state)
+        state.finished = state.trained and not self._validation_clients
+        self._broadcast.advance(state)
         oldest = state.round - config.max_staleness - 1
         state.digests = {n: digest for n, digest in state.digests.items() if n >= oldest}
 
@@ -370,6 +389,6 @@ class FederatedServer:
 
     @property
     def _flags(self) -> int:
-        final = FINAL if self.finished else JUDGING if self._state.trained else 0
+        final = FINAL if self.finished else VALIDATING if self._state.trained else 0
         masked = MASKED if self.config.secure_aggregation else 0
         return final | masked | (ASYNCHRONOUS if self.asynchronous else 0)

@@ -9,9 +9,8 @@ from geoorbit_ros.federated.encodings.floats import Float32
 from geoorbit_ros.federated.errors import FederationError
 from geoorbit_ros.federated.privacy.coordinator import MIN_CLIENTS
 from geoorbit_ros.federated.rounds.selection import SELECTIONS
-from geoorbit_ros.federated.rounds.verdict import MIN_JUDGES
-from geoorbit_ros.federated.strategies.robust import RobustStrategy
-from geoorbit_ros.federated.strategies.strategy import Strategy
+from geoorbit_ros.federated.rounds.verdict import MIN_VALIDATION_CLIENTS
+from geoorbit_ros.federated.strategies.strategy import RobustStrategy, Strategy
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,13 +26,13 @@ class ServerConfig:
             this: the paper's threshold lambda. NaN: never.
         clients_per_round: Clients selected for a round; 0: all.
         selection: How, see `selection.py`.
-        judges: Who judges the model before it is used, see `verdict.is_judge`. 0: nobody, and every
-            model is used as it comes.
+        validation_divisor: Names the validation clients, see `verdict.is_validation_client`. 0:
+            none, and every model is used without validation.
         quorum: Share of the selected clients whose updates suffice at the deadline.
         deadline_s: Longest time for a round. One without a quorum is opened to all clients, and
             goes on until there is one.
         max_staleness: How many models late an update may come with an asynchronous strategy.
-        encoding: How the model is sent, see `Announcer`.
+        encoding: How the model is sent, see `ModelBroadcast`.
         top_k_share: Share of weights that top-k sends of it.
         top_k_bits: Bits per such weight, 4 or 8.
         keyframe_interval: A whole model is sent at least so often, for those who join.
@@ -49,6 +48,7 @@ class ServerConfig:
 
     Raises:
         FederationError: A setting out of range.
+        ParameterError: No such encoding.
     """
 
     federation: str = "geoorbit"
@@ -57,7 +57,7 @@ class ServerConfig:
     target_loss: float = field(default=float("nan"))
     clients_per_round: int = 0
     selection: str = "random"
-    judges: int = 0
+    validation_divisor: int = 0
     quorum: float = 0.5
     deadline_s: float = 600.0
     max_staleness: int = 20
@@ -79,7 +79,7 @@ class ServerConfig:
             ("run", 0, 2**32 - 1),
             ("rounds", 1, 2**31),
             ("clients_per_round", 0, 1 << 16),
-            ("judges", 0, 1 << 16),
+            ("validation_divisor", 0, 1 << 16),
             ("quorum", 0.0, 1.0),
             ("deadline_s", 1e-3, 1e9),
             ("max_staleness", 0, 10_000),
@@ -99,7 +99,9 @@ class ServerConfig:
             raise FederationError("server setting 'selection'", found, " or ".join(SELECTIONS))
         if self.noise_multiplier and self.secure_aggregation:
             found = "noise and secure aggregation together"
-            raise FederationError("server settings", found, "one: nobody can cut what is masked")
+            raise FederationError(
+                "server settings", found, "one: the server can not cut what is masked"
+            )
         if self.noise_multiplier and self.selection == "importance":
             found = "noise and selection by importance"
             raise FederationError("server settings", found, "one: the selection tells of losses")
@@ -109,7 +111,7 @@ class ServerConfig:
         """How the model is sent.
 
         Raises:
-            FederationError: No such encoding.
+            ParameterError: No such encoding.
         """
         if self.encoding == "float32":
             return Float32()
@@ -117,7 +119,11 @@ class ServerConfig:
 
 
 def check_settings(
-    config: ServerConfig, strategy: Strategy, clients: int, teachers: int, judges: int
+    config: ServerConfig,
+    strategy: Strategy,
+    clients: int,
+    training_clients: int,
+    validation_clients: int,
 ) -> None:
     """Refuse settings that exclude each other.
 
@@ -125,8 +131,8 @@ def check_settings(
         config: Settings of the server.
         strategy: Its strategy.
         clients: Cameras on the roster.
-        teachers: How many of them teach.
-        judges: How many of them judge.
+        training_clients: How many of them train.
+        validation_clients: How many of them validate.
 
     Raises:
         FederationError: Naming both.
@@ -138,8 +144,12 @@ def check_settings(
     if config.secure_aggregation and clients < MIN_CLIENTS:
         found = f"{clients} cameras"
         raise FederationError("secure aggregation", found, f"{MIN_CLIENTS} or more")
-    if teachers == 0:
-        raise FederationError("server setting 'judges'", config.judges, "somebody left to teach")
-    least = MIN_CLIENTS if config.secure_aggregation else MIN_JUDGES
-    if config.judges > 1 and judges < least:
-        raise FederationError("server setting 'judges'", f"{judges} judges", f"{least} or more")
+    if training_clients == 0:
+        raise FederationError(
+            "server setting 'validation_divisor'",
+            config.validation_divisor,
+            "clients left to train",
+        )
+    least = MIN_CLIENTS if config.secure_aggregation else MIN_VALIDATION_CLIENTS
+    if config.validation_divisor > 1 and validation_clients < least:
+        raise FederationError("validation clients", validation_clients, f"{least} or more")

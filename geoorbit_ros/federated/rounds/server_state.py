@@ -19,7 +19,7 @@ from geoorbit_ros.federated.payloads.model_layout import ModelLayout, Vector
 from geoorbit_ros.storage.atomic import atomic_output
 
 
-class Ledger:
+class Answers:
     """One row per member of the roster.
 
     Args:
@@ -82,17 +82,17 @@ class RoundRecord:
         loss: Mean loss that they report, weighted as the updates are.
         seconds: From its announcement to its end; not a number when the server was restarted
             meanwhile.
-        judges: How many judged the model that it started from.
+        validation_clients: How many validated the model that it started from.
         gain: Their mean gain (`verdict.Verdict`); NaN with fewer than two.
         gain_error: Its standard error.
-        approved: Whether they approved of it.
+        approved: Whether the verdict approves it.
     """
 
     round: int
     updates: int
     loss: float
     seconds: float
-    judges: int = 0
+    validation_clients: int = 0
     gain: float = float("nan")
     gain_error: float = float("nan")
     approved: bool = False
@@ -105,22 +105,22 @@ class ServerState:
     Attributes:
         run: When the federation began.
         round: The open round; one more than the last when training is over.
-        trained: Whether training is over; the last model may still have to be judged.
+        trained: Whether training is over; the last model may still have to be validated.
         finished: Whether everything is over.
-        approved: Digest of the newest model that judges approved of; 0: none.
+        approved: Digest of the newest approved model; 0: none.
         model: The model as the server has it, shape (size,).
         published: The model as the clients have it: they differ by what encodings lose.
         optimiser: State of the strategy.
-        ledger: Who has answered which round.
+        answers: Who has answered which round.
         digests: Digest of each model that an update may still name, by round.
         history: Records of all rounds so far.
-        secret: 32 bytes for noise that nobody may foresee.
+        secret: 32 bytes for noise that must stay unpredictable.
     """
 
     run: int
     model: Vector
     published: Vector
-    ledger: Ledger
+    answers: Answers
     round: int = 1
     trained: bool = False
     finished: bool = False
@@ -155,9 +155,9 @@ def write_checkpoint(path: Path, layout: ModelLayout, state: ServerState) -> Non
     arrays |= {
         "model": state.model,
         "published": state.published,
-        "members": np.array(state.ledger.members, np.uint32),
-        "answered": state.ledger.answered,
-        "utility": state.ledger.utility,
+        "members": np.array(state.answers.members, np.uint32),
+        "answered": state.answers.answered,
+        "utility": state.answers.utility,
         "digests": _columns(state.digests),
         "facts": np.frombuffer(json.dumps(facts).encode(), np.uint8),
     }
@@ -173,8 +173,8 @@ def write_checkpoint(path: Path, layout: ModelLayout, state: ServerState) -> Non
         os.close(folder)
 
 
-def read_checkpoint(path: Path, layout: ModelLayout, ledger: Ledger) -> ServerState | None:
-    """The state in a checkpoint, its ledger filled in; None when there is none.
+def read_checkpoint(path: Path, layout: ModelLayout, answers: Answers) -> ServerState | None:
+    """The state in a checkpoint, its answers filled in; None when there is none.
 
     Raises:
         FederationError: A file that is no checkpoint, or one of another model.
@@ -186,7 +186,7 @@ def read_checkpoint(path: Path, layout: ModelLayout, ledger: Ledger) -> ServerSt
             arrays = {name: file[name] for name in file.files}
         facts = json.loads(arrays.pop("facts").tobytes())
         found = ModelLayout(tuple(facts["names"]), tuple(map(tuple, facts["shapes"])))
-        state = _state(facts, arrays, ledger)
+        state = _state(facts, arrays, answers)
     except _UNREADABLE as error:
         raise FederationError(str(path), error, "a checkpoint of federated_server") from None
     if found != layout:
@@ -195,12 +195,12 @@ def read_checkpoint(path: Path, layout: ModelLayout, ledger: Ledger) -> ServerSt
 
 
 def _state(
-    facts: Mapping[str, object], arrays: dict[str, NDArray[np.float64]], ledger: Ledger
+    facts: Mapping[str, object], arrays: dict[str, NDArray[np.float64]], answers: Answers
 ) -> ServerState:
     prefix = "optimiser_"
     history = facts["history"]
     columns = [arrays[name].tolist() for name in ("members", "answered", "utility")]
-    ledger.take_over(*columns)
+    answers.take_over(*columns)
     assert isinstance(history, list)
     return ServerState(
         run=int(str(facts["run"])),
@@ -211,7 +211,7 @@ def _state(
         finished=bool(facts["finished"]),
         approved=int(str(facts["approved"])),
         optimiser={k[len(prefix) :]: v for k, v in arrays.items() if k.startswith(prefix)},
-        ledger=ledger,
+        answers=answers,
         digests={k: int(v) for k, v in zip(*_rows(arrays["digests"]), strict=True)},
         history=[RoundRecord(*row) for row in history],
         secret=bytes.fromhex(str(facts["secret"])),

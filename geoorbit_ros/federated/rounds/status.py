@@ -19,7 +19,8 @@ def server_facts(server: FederatedServer) -> dict[str, object]:
         "finished": server.finished,
         "selected": len(server.selected),
         "collected": server.collected,
-        "judged": server.judged,
+        "validated": server.validated,
+        "judged": server.validated,  # its old name, until 0.2.0
         "accepted": server.accepted,
         **{f"refused_{r.replace(' ', '_')}": n for r, n in server.refused.items()},
         "loss": round(last.loss, 6) if last else "",

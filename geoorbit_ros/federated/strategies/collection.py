@@ -117,7 +117,7 @@ class UpdateTable:
         return len(self._rows)
 
     def add(self, client: int, update: Vector, weight: float) -> None:
-        """See `Collection.add`; weights are ignored, for a liar would choose a large one."""
+        """See `Collection.add`; weights are ignored: a false update would claim a large one."""
         self._rows[client] = update.copy()
 
     def result(self) -> Aggregate:

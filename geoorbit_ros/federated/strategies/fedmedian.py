@@ -10,7 +10,7 @@ import numpy as np
 
 from geoorbit_ros.core.plugins import register
 from geoorbit_ros.federated.strategies.collection import Aggregate
-from geoorbit_ros.federated.strategies.robust import RobustStrategy, Table
+from geoorbit_ros.federated.strategies.strategy import RobustStrategy, Table
 
 
 @register("strategy", "fedmedian")

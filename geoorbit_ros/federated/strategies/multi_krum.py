@@ -1,7 +1,7 @@
 """Multi-Krum: the mean of those updates that have the nearest neighbours.
 
 Blanchard et al., "Machine learning with adversaries: Byzantine tolerant gradient descent", NeurIPS
-2017, sections 3 and 5: of n updates with f liars, each one's score is the sum of its squared
+2017, sections 3 and 5: of n updates, f of them false, each one's score is the sum of its squared
 distances to its n - f - 2 nearest others, and the mean is over the n - f best scores.
 """
 
@@ -13,15 +13,20 @@ import numpy as np
 
 from geoorbit_ros.core.plugins import register
 from geoorbit_ros.federated.strategies.collection import Aggregate
-from geoorbit_ros.federated.strategies.robust import RobustStrategy, Table, liars
-from geoorbit_ros.federated.strategies.strategy import StrategySettings, check_range
+from geoorbit_ros.federated.strategies.strategy import (
+    RobustStrategy,
+    StrategySettings,
+    Table,
+    byzantine_count,
+    check_range,
+)
 
 _BLOCK = 512
 
 
 @register("strategy", "multi_krum")
 class MultiKrum(RobustStrategy):
-    """Expects this share of liars; its guarantee takes 2f + 3 updates or more.
+    """Expects this share of byzantine_count; its guarantee takes 2f + 3 updates or more.
 
     With fewer, f is what that allows. Time grows with the square of the number of updates.
 
@@ -40,7 +45,7 @@ class MultiKrum(RobustStrategy):
     def combine(self, table: Table) -> Aggregate:
         """See `RobustStrategy.combine`."""
         number = len(table)
-        expected = min(liars(self.share, number), max((number - 3) // 2, 0))
+        expected = min(byzantine_count(self.share, number), max((number - 3) // 2, 0))
         neighbours = max(number - expected - 2, 1)
         if number == 1:
             return np.asarray(table[0])

@@ -11,7 +11,12 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.core import plugins
 from geoorbit_ros.federated.errors import FederationError
-from geoorbit_ros.federated.strategies.collection import Aggregate, Collection, RunningMean
+from geoorbit_ros.federated.strategies.collection import (
+    Aggregate,
+    Collection,
+    RunningMean,
+    UpdateTable,
+)
 
 State = dict[str, NDArray[np.float64]]
 
@@ -70,6 +75,36 @@ class Strategy:
 
     def restore(self, state: Mapping[str, NDArray[np.float64]]) -> None:
         """Take back what `state` gave."""
+
+
+@plugins.register("strategy", "fedavg")
+class FedAvg(Strategy):
+    """The mean of the updates, weighted by their numbers of examples: what strategies start from.
+
+    McMahan et al., "Communication-efficient learning of deep networks from decentralized data",
+    AISTATS 2017, algorithm 1.
+    """
+
+
+Table = NDArray[np.float64]
+"""One update per row, shape (number, size)."""
+
+
+class RobustStrategy(Strategy):
+    """Compares the updates, to withstand false ones; every client counts the same."""
+
+    def combine(self, table: Table) -> Aggregate:
+        """One vector, shape (size,), for a table with at least one row."""
+        raise NotImplementedError
+
+    def collection(self, size: int) -> Collection:
+        """See `Strategy.collection`."""
+        return UpdateTable(self.combine)
+
+
+def byzantine_count(share: float, number: int) -> int:
+    """How many of so many updates a share stands for; 30 % of 10 are 3 in floating point, too."""
+    return int(share * number + 1e-9)
 
 
 def make_strategy(name: str, settings: StrategySettings | None = None) -> Strategy:

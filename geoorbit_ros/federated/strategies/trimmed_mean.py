@@ -12,8 +12,13 @@ import numpy as np
 
 from geoorbit_ros.core.plugins import register
 from geoorbit_ros.federated.strategies.collection import Aggregate
-from geoorbit_ros.federated.strategies.robust import RobustStrategy, Table, liars
-from geoorbit_ros.federated.strategies.strategy import StrategySettings, check_range
+from geoorbit_ros.federated.strategies.strategy import (
+    RobustStrategy,
+    StrategySettings,
+    Table,
+    byzantine_count,
+    check_range,
+)
 
 
 @register("strategy", "trimmed_mean")
@@ -34,6 +39,6 @@ class TrimmedMean(RobustStrategy):
 
     def combine(self, table: Table) -> Aggregate:
         """See `RobustStrategy.combine`."""
-        cut = liars(self.share, len(table))
+        cut = byzantine_count(self.share, len(table))
         ordered = np.sort(table, axis=0)
         return np.asarray(np.mean(ordered[cut : len(table) - cut], axis=0))

@@ -81,8 +81,8 @@ class Camera:
     def train(
         self, tensors: Tensors, order: TrainingOrder, steps: int = 10, rate: float = 1.0
     ) -> LocalResult:
-        gain = self.gain(tensors) if order.judge else float("nan")
-        if not order.teach:
+        gain = self.gain(tensors) if order.validate else float("nan")
+        if not order.train:
             return LocalResult({}, 0, self.loss(tensors), gain)
         weights = {name: t.astype(np.float64) for name, t in tensors.items()}
         for _ in range(steps):

@@ -14,11 +14,11 @@ from geoorbit_ros.federated.rounds.server_config import ServerConfig
 from geoorbit_ros.federated.strategies.strategy import StrategySettings, make_strategy
 
 HONEST = tuple(f"honest_{k}" for k in range(7))
-LIARS = tuple(f"liar_{k}" for k in range(3))
+ATTACKERS = tuple(f"attacker_{k}" for k in range(3))
 CONFIG = ServerConfig(federation=FEDERATION, rounds=25, quorum=0.7, deadline_s=1.0)
 Vector = NDArray[np.float32]
 Attack = Callable[[Vector], Vector]
-"""Makes a lie of all honest updates, shape (number, size): liars know them, and each other."""
+"""Makes a false update of all honest ones, shape (number, size): attackers know all of them."""
 
 
 def not_a_number(honest: Vector) -> Vector:
@@ -54,9 +54,9 @@ def noisy_camera(number: int) -> Camera:
 
 
 def final_loss(strategy: str, attack: Attack | None) -> float:
-    """Mean loss of the honest cameras after training; the liars lie in every round."""
+    """Mean loss of the honest cameras after training; the byzantine_count lie in every round."""
     settings = StrategySettings(byzantine_share=0.3)
-    names = (*HONEST, *(LIARS if attack else ()))
+    names = (*HONEST, *(ATTACKERS if attack else ()))
     config = replace(CONFIG, quorum=0.7) if attack else CONFIG
     federation = Federation(names, config, lambda: make_strategy(strategy, settings))
     cameras = {name: noisy_camera(k) for k, name in enumerate(HONEST)}
@@ -69,10 +69,10 @@ def final_loss(strategy: str, attack: Attack | None) -> float:
         deltas = [
             server.layout.flatten(cameras[name].train(tensors, order).delta) for name in HONEST
         ]
-        lies = {liar: attack(np.array(deltas)) for liar in LIARS if attack is not None}
+        lies = {name: attack(np.array(deltas)) for name in ATTACKERS if attack is not None}
         for name, vector in [*lies.items(), *zip(HONEST, deltas, strict=True)]:
             try:
-                # A liar would claim more examples, too.
+                # An attacker would claim more examples, too.
                 count = 200 if name in HONEST else 100_000
                 server.receive(update_of(server, name, vector, sample_count=count), now_s)
             except PayloadError as error:
@@ -81,8 +81,8 @@ def final_loss(strategy: str, attack: Attack | None) -> float:
         if server.round == number:
             server.tick(now_s)
     if attack is not_a_number:
-        assert server.refused[Refusal.NOT_FINITE] == len(LIARS) * CONFIG.rounds
-    assert not {signer_id(name) for name in LIARS} & {signer_id(name) for name in HONEST}
+        assert server.refused[Refusal.NOT_FINITE] == len(ATTACKERS) * CONFIG.rounds
+    assert not {signer_id(name) for name in ATTACKERS} & {signer_id(name) for name in HONEST}
     return float(np.mean([camera.loss(server.tensors) for camera in cameras.values()]))
 
 

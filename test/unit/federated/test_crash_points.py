@@ -17,7 +17,7 @@ from geoorbit_ros.federated.errors import FederationError, PayloadError, Refusal
 from geoorbit_ros.federated.rounds import client as client_module
 from geoorbit_ros.federated.rounds import server as server_module
 from geoorbit_ros.federated.rounds.server_config import ServerConfig
-from geoorbit_ros.federated.rounds.server_state import Ledger, read_checkpoint
+from geoorbit_ros.federated.rounds.server_state import Answers, read_checkpoint
 from geoorbit_ros.federated.strategies.fedadam import FedAdam
 from geoorbit_ros.federated.strategies.fedbuff import FedBuff
 
@@ -27,7 +27,7 @@ SERVER = "server"
 CONFIG = ServerConfig(
     federation=FEDERATION,
     rounds=ROUNDS,
-    judges=1,
+    validation_divisor=1,
     encoding="top_k",
     top_k_share=0.3,
     deadline_s=10.0,
@@ -163,8 +163,8 @@ def test_killed_between_any_two_messages(
 def test_killed_between_any_two_messages_where_some_only_judge(tmp_path: Path) -> None:
     numbers = {name: signer_id(name) for name in NAMES}
     divisor = next(d for d in range(2, 99) if sum(n % d == 0 for n in numbers.values()) == 2)
-    judge = next(name for name, number in numbers.items() if number % divisor == 0)
-    config = replace(CONFIG, judges=divisor)
+    validating = next(name for name, number in numbers.items() if number % divisor == 0)
+    config = replace(CONFIG, validation_divisor=divisor)
 
     def result(folder: Path, kill_at: int | None, victim: str) -> tuple[bytes, str]:
         folder.mkdir()
@@ -172,11 +172,14 @@ def test_killed_between_any_two_messages_where_some_only_judge(tmp_path: Path) -
         network.run(kill_at, victim, keep_messages=False)
         server = network.federation.server
         told = repr([replace(record, seconds=0.0) for record in server.history])
-        assert [(r.updates, r.judges) for r in server.history] == [*[(1, 2)] * ROUNDS, (0, 2)]
+        assert [(r.updates, r.validation_clients) for r in server.history] == [
+            *[(1, 2)] * ROUNDS,
+            (0, 2),
+        ]
         return server.layout.flatten(server.tensors).tobytes(), told
 
     expected = result(tmp_path / "whole", None, SERVER)
-    for victim in (SERVER, judge):
+    for victim in (SERVER, validating):
         for kill_at in range(1, 22):
             found = result(tmp_path / f"{victim} {kill_at}", kill_at, victim)
             assert found == expected, f"{victim} killed before message {kill_at}"
@@ -243,7 +246,7 @@ def test_everybody_killed_at_once(tmp_path: Path, uninterrupted: tuple[Result, i
 
 
 def test_an_asynchronous_server_goes_on(tmp_path: Path) -> None:
-    config = replace(CONFIG, rounds=6, judges=0, max_staleness=3)
+    config = replace(CONFIG, rounds=6, validation_divisor=0, max_staleness=3)
     for kill_at in range(2, 30, 3):
         folder = tmp_path / str(kill_at)
         folder.mkdir()
@@ -256,14 +259,14 @@ def test_a_checkpoint_is_read_as_it_was_written(tmp_path: Path) -> None:
     network = federation_in(tmp_path)
     network.run(None, SERVER)
     server = network.federation.server
-    ledger = Ledger(server._state.ledger.members)
-    saved = read_checkpoint(tmp_path / "server.npz", server.layout, ledger)
+    answers = Answers(server._state.answers.members)
+    saved = read_checkpoint(tmp_path / "server.npz", server.layout, answers)
     assert saved is not None
     for name in ("run", "round", "trained", "finished", "approved", "digests", "secret"):
         assert getattr(saved, name) == getattr(server._state, name), name
     assert repr(saved.history) == repr(server._state.history)  # NaN is not equal to itself
-    np.testing.assert_array_equal(ledger.answered, server._state.ledger.answered)
-    np.testing.assert_array_equal(ledger.utility, server._state.ledger.utility)
+    np.testing.assert_array_equal(answers.answered, server._state.answers.answered)
+    np.testing.assert_array_equal(answers.utility, server._state.answers.utility)
     np.testing.assert_array_equal(saved.model, server._state.model)
     np.testing.assert_array_equal(saved.optimiser["moments"], server._state.optimiser["moments"])
 

@@ -16,6 +16,7 @@ from federation_parts import (
     update_of,
 )
 
+from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.core.plugins import registered
 from geoorbit_ros.federated.encodings.int8 import Int8
 from geoorbit_ros.federated.errors import FederationError, PayloadError, Refusal
@@ -306,7 +307,9 @@ def test_fedbuff_takes_late_updates_and_forgets_very_late_ones() -> None:
 
 
 def test_settings_and_rosters_that_make_no_sense_are_named() -> None:
-    for name, value in (("quorum", 1.5), ("rounds", 0), ("selection", "best"), ("encoding", "x")):
+    with pytest.raises(ParameterError, match="encoding"):
+        replace(CONFIG, encoding="x")
+    for name, value in (("quorum", 1.5), ("rounds", 0), ("selection", "best")):
         with pytest.raises(FederationError, match=name):
             server_with(**{name: value})
     with pytest.raises(FederationError, match="twice"):

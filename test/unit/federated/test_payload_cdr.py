@@ -33,7 +33,7 @@ LAYOUTS = st.lists(
     max_size=4,
     unique_by=lambda pair: pair[0],
 ).map(lambda pairs: ModelLayout(*(tuple(part) for part in zip(*pairs, strict=True))))
-WHOLE_NUMBERS = ("run", "round", "model", "interface", "approved", "judges")
+WHOLE_NUMBERS = ("run", "round", "model", "interface", "approved", "validation_divisor")
 CLIENTS = st.lists(U32, max_size=3).map(tuple)
 DATA = st.binary(max_size=40)
 FLOAT = st.floats(width=32, allow_nan=False)

@@ -15,10 +15,10 @@ from geoorbit_ros.federated.encodings.encoding import EncodingSettings, make_enc
 from geoorbit_ros.federated.errors import PayloadError, Refusal
 from geoorbit_ros.federated.keys import Member, Roster, Signer, Verifier
 from geoorbit_ros.federated.payloads.lane_parameters import ThetaInbox, ThetaPayload
-from geoorbit_ros.federated.rounds.admission import Admission
 from geoorbit_ros.federated.rounds.client import FederatedClient
 from geoorbit_ros.federated.rounds.server import FederatedServer
 from geoorbit_ros.federated.rounds.server_config import ServerConfig
+from geoorbit_ros.federated.rounds.update_checks import UpdateChecks
 from geoorbit_ros.lanes.parameters import LaneParameters
 
 CASES = {
@@ -32,7 +32,7 @@ Take = Callable[[bytes], object]
 
 # Unsigned, so that a changed byte is judged by what it says and not by its signature.
 NAMES = ("north", "south", "west")
-CONFIG = ServerConfig(encoding="top_k", rounds=9, judges=1)
+CONFIG = ServerConfig(encoding="top_k", rounds=9, validation_divisor=1)
 SERVER = FederatedServer(CONFIG, first_tensors(), Roster(Member(n, None) for n in NAMES))
 WHOLE = SERVER.start(0.0)
 CLIENTS = [
@@ -44,14 +44,14 @@ THETA = ThetaPayload("north", 5, 6, 7, {"smoothing": 9.5, "angle": 0.25, "width_
 
 
 def server_topic() -> tuple[Take, list[bytes]]:
-    admission = Admission(
+    admission = UpdateChecks(
         CONFIG,
         Roster(Member(n, None) for n in NAMES),
         SERVER.layout.size,
         asynchronous=False,
     )
     state = SERVER._state
-    return (lambda payload: admission.admit(payload, state, frozenset())), UPDATES
+    return (lambda payload: admission.check(payload, state, frozenset())), UPDATES
 
 
 def client_topic() -> tuple[Take, list[bytes]]:
@@ -102,7 +102,7 @@ def masked_server_topic() -> tuple[Take, list[bytes]]:
 
     def take(payload: bytes) -> object:
         coordinator._came.clear()  # so that the steps are never complete
-        message = server._admission.admit_masked(payload, server._state, frozenset())
+        message = server._checks.check_masked(payload, server._state, frozenset())
         coordinator.take(message)
         return message
 

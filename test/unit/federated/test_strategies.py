@@ -14,13 +14,13 @@ from geoorbit_ros.core.plugins import registered
 from geoorbit_ros.federated.errors import FederationError
 from geoorbit_ros.federated.strategies.collection import ExactSum
 from geoorbit_ros.federated.strategies.fedadam import FedAdam
-from geoorbit_ros.federated.strategies.fedavg import FedAvg
 from geoorbit_ros.federated.strategies.fedavgm import FedAvgM
 from geoorbit_ros.federated.strategies.fedbuff import FedBuff
 from geoorbit_ros.federated.strategies.fedmedian import FedMedian
 from geoorbit_ros.federated.strategies.fedprox import FedProx, proximal_gradient
 from geoorbit_ros.federated.strategies.multi_krum import MultiKrum
 from geoorbit_ros.federated.strategies.strategy import (
+    FedAvg,
     Strategy,
     StrategySettings,
     make_strategy,
@@ -144,7 +144,7 @@ def test_a_restored_strategy_goes_on_with_the_same_bits(name: str) -> None:
     honest=arrays(np.float32, (7, 3), elements=st.floats(-1, 1, width=32)),
     lies=arrays(np.float32, (3, 3), elements=st.floats(-1000, 1000, width=32)),
 )
-def test_three_liars_of_ten_move_nothing_out_of_the_honest_range(
+def test_three_false_updates_of_ten_move_nothing_out_of_the_honest_range(
     name: str, honest: NDArray[np.float32], lies: NDArray[np.float32]
 ) -> None:
     found = change(make_strategy(name), [*honest.tolist(), *lies.tolist()])

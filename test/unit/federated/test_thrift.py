@@ -42,7 +42,7 @@ class Camera:
 
     def train(self, tensors: Tensors, order: TrainingOrder) -> LocalResult:
         gain = float(np.log(self.loss(tensors) + 1.0) - np.log(self.start + 1.0))
-        if not order.teach:
+        if not order.train:
             return LocalResult({}, 0, self.loss(tensors), gain)
         w = {name: value.astype(np.float64) for name, value in tensors.items()}
         for _ in range(20):
@@ -71,7 +71,9 @@ def trained(
     """What crossed the wire, and the mean loss of the model that the clients end up with."""
     cameras = {name: Camera(seed, k) for k, name in enumerate(NAMES)}
     server = FederatedServer(
-        ServerConfig(federation=FEDERATION, rounds=20, encoding=encoding, judges=1, **settings),
+        ServerConfig(
+            federation=FEDERATION, rounds=20, encoding=encoding, validation_divisor=1, **settings
+        ),
         MetaLearner.untrained(seed).tensors(),
         roster_of(NAMES),
         signer=signer_of("server"),

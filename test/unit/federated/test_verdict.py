@@ -1,4 +1,4 @@
-"""A model is used only where judges approve of it, whoever joins late, starts again, or lies."""
+"""A model is used only once it is approved, with late joiners, restarts and false reports."""
 
 import itertools
 import math
@@ -20,71 +20,73 @@ from geoorbit_ros.federated.rounds.in_process import run_in_process
 from geoorbit_ros.federated.rounds.server_config import ServerConfig
 from geoorbit_ros.federated.rounds.verdict import (
     GAIN_LIMIT,
-    Ballot,
-    is_judge,
-    is_teacher,
-    judge_divisor,
-    shares,
+    GainSums,
+    gain_terms,
+    is_training_client,
+    is_validation_client,
+    validation_divisor,
 )
 from geoorbit_ros.federated.strategies.fedbuff import FedBuff
 
 NAMES = tuple(f"camera{k}" for k in range(12))
-DIVISOR = judge_divisor([signer_id(name) for name in NAMES], 4)
-JUDGES = tuple(name for name in NAMES if is_judge(signer_id(name), DIVISOR))
-TEACHERS = tuple(name for name in NAMES if name not in JUDGES)
-CONFIG = ServerConfig(federation=FEDERATION, rounds=4, judges=DIVISOR, encoding="top_k")
+DIVISOR = validation_divisor([signer_id(name) for name in NAMES], 4)
+VALIDATING = tuple(name for name in NAMES if is_validation_client(signer_id(name), DIVISOR))
+TRAINING = tuple(name for name in NAMES if name not in VALIDATING)
+CONFIG = ServerConfig(federation=FEDERATION, rounds=4, validation_divisor=DIVISOR, encoding="top_k")
 GAINS = st.lists(st.floats(-9, 9), min_size=2, max_size=20)
 
 
 @given(GAINS)
 def test_a_verdict_is_mean_and_standard_error_in_any_order(gains: list[float]) -> None:
-    verdict = Ballot.of(gains).verdict()
+    verdict = GainSums.of(gains).verdict()
     assert verdict is not None
     cut = np.clip(gains, -GAIN_LIMIT, GAIN_LIMIT)
     error = cut.std(ddof=1) / np.sqrt(len(cut))
     assert verdict.gain == pytest.approx(cut.mean(), abs=1e-6)
     assert verdict.error == pytest.approx(error, abs=1e-3)
-    assert Ballot.of(sorted(gains)) == Ballot.of(gains)
+    assert GainSums.of(sorted(gains)) == GainSums.of(gains)
 
 
 @given(GAINS)
 def test_sums_from_under_masks_give_the_same_verdict(gains: list[float]) -> None:
-    verdict = Ballot.of(gains).verdict()
-    masked = Ballot.of_sums(np.sum([shares(g) for g in gains], axis=0)).verdict()
+    verdict = GainSums.of(gains).verdict()
+    masked = GainSums.of_sums(np.sum([gain_terms(g) for g in gains], axis=0)).verdict()
     assert verdict is not None
     assert masked is not None
-    assert masked.judges == verdict.judges
+    assert masked.clients == verdict.clients
     assert masked.gain == pytest.approx(verdict.gain, abs=1e-6)
     assert masked.error == pytest.approx(verdict.error, abs=1e-3)
 
 
 @pytest.mark.parametrize("honest", [0.0, 0.01, 0.5])
 @pytest.mark.parametrize("lie", [-0.1, -1.0, -100.0])
-@pytest.mark.parametrize("judges", [3, 8, 40, 400])
-def test_a_minority_of_liars_brings_no_model_in(honest: float, lie: float, judges: int) -> None:
-    liars = (judges - 1) // 2
-    verdict = Ballot.of([lie] * liars + [honest] * (judges - liars)).verdict()
+@pytest.mark.parametrize("clients", [3, 8, 40, 400])
+def test_a_minority_of_false_gains_brings_no_model_in(
+    honest: float, lie: float, clients: int
+) -> None:
+    false = (clients - 1) // 2
+    verdict = GainSums.of([lie] * false + [honest] * (clients - false)).verdict()
     assert verdict is not None
     assert not verdict.accepted
 
 
 def test_who_abstains_does_not_count_and_one_judge_is_none() -> None:
     nothing = float("nan")
-    assert Ballot.of([nothing, -1.0]).verdict() is None
-    assert Ballot.of([nothing, -1.0, -1.1]) == Ballot.of([-1.0, -1.1])
+    assert GainSums.of([nothing, -1.0]).verdict() is None
+    assert GainSums.of([nothing, -1.0, -1.1]) == GainSums.of([-1.0, -1.1])
 
 
 @pytest.mark.parametrize("clients", [8, 12, 40, 1000])
 @pytest.mark.parametrize("every", [2, 4, 10])
 def test_about_one_in_so_many_judges(clients: int, every: int) -> None:
     numbers = np.random.default_rng(clients).integers(0, 2**32, clients).tolist()
-    divisor = judge_divisor(numbers, every)
-    judges = sum(is_judge(n, divisor) for n in numbers)
+    divisor = validation_divisor(numbers, every)
+    judges = sum(is_validation_client(n, divisor) for n in numbers)
     if clients < 2 * every:
         assert divisor == 1
         return
     assert abs(judges - clients / every) <= 1 + 2.5 * np.sqrt(clients / every)
-    assert judges + sum(is_teacher(n, divisor) for n in numbers) == clients
+    assert judges + sum(is_training_client(n, divisor) for n in numbers) == clients
 
 
 def with_gains(federation: Federation, gains: dict[str, float]) -> Federation:
@@ -111,26 +113,26 @@ def run(federation: Federation) -> None:
 
 
 def test_a_better_model_is_used_by_all_and_judges_teach_nothing() -> None:
-    assert 2 <= len(JUDGES) <= 4
+    assert 2 <= len(VALIDATING) <= 4
     federation = federation_of()
     run(federation)
     server = federation.server
     assert server.verdict.accepted
-    assert server.verdict.judges == len(JUDGES)
-    assert [r.updates for r in server.history] == [*[len(TEACHERS)] * 4, 0]
+    assert server.verdict.clients == len(VALIDATING)
+    assert [r.updates for r in server.history] == [*[len(TRAINING)] * 4, 0]
     for client in federation.clients:
         assert client.used_tensors is not None
         for name, value in server.published.items():
             np.testing.assert_array_equal(client.used_tensors[name], value)
-    alone = federation_of(TEACHERS, replace(CONFIG, judges=0))
-    alone.cameras = {name: federation.cameras[name] for name in TEACHERS}
+    alone = federation_of(TRAINING, replace(CONFIG, validation_divisor=0))
+    alone.cameras = {name: federation.cameras[name] for name in TRAINING}
     run(alone)
     for name, value in alone.server.tensors.items():
         assert value.tobytes() == server.tensors[name].tobytes()
 
 
 def test_a_model_that_judges_find_worse_is_used_by_nobody() -> None:
-    federation = with_gains(federation_of(), dict.fromkeys(JUDGES, 0.1))
+    federation = with_gains(federation_of(), dict.fromkeys(VALIDATING, 0.1))
     run(federation)
     assert not federation.server.verdict.accepted
     assert all(client.finished and client.used_tensors is None for client in federation.clients)
@@ -138,27 +140,35 @@ def test_a_model_that_judges_find_worse_is_used_by_nobody() -> None:
 
 
 def test_without_judges_every_model_is_used() -> None:
-    federation = federation_of(config=replace(CONFIG, judges=0))
+    federation = federation_of(config=replace(CONFIG, validation_divisor=0))
     client = federation.clients[0]
     client.receive(federation.server.start(0.0))
     assert client.used == client.model_of[2] != 0
 
 
 def test_in_a_small_fleet_all_teach_and_judge() -> None:
-    federation = federation_of(NAMES[:3], replace(CONFIG, judges=1))
+    federation = federation_of(NAMES[:3], replace(CONFIG, validation_divisor=1))
     run(federation)
-    assert [(r.updates, r.judges) for r in federation.server.history] == [*[(3, 3)] * 4, (0, 3)]
+    assert [(r.updates, r.validation_clients) for r in federation.server.history] == [
+        *[(3, 3)] * 4,
+        (0, 3),
+    ]
     assert federation.server.verdict.accepted
 
 
 def test_masked_judges_give_the_verdict_of_open_ones() -> None:
     names = NAMES[:5]
-    plain = federation_of(names, replace(CONFIG, judges=1, encoding="float32", rounds=2))
+    plain = federation_of(
+        names, replace(CONFIG, validation_divisor=1, encoding="float32", rounds=2)
+    )
     masked = federation_of(names, replace(plain.config, secure_aggregation=True))
     for federation in (plain, masked):
         run(federation)
     for open_, hidden in zip(plain.server.history, masked.server.history, strict=True):
-        assert (hidden.judges, hidden.updates) == (open_.judges, open_.updates)
+        assert (hidden.validation_clients, hidden.updates) == (
+            open_.validation_clients,
+            open_.updates,
+        )
         assert hidden.gain == pytest.approx(open_.gain, abs=1e-4)
         assert hidden.gain_error == pytest.approx(open_.gain_error, abs=1e-2)
         assert hidden.approved == open_.approved
@@ -171,7 +181,7 @@ def test_an_asynchronous_server_has_its_models_judged_too() -> None:
     server = federation.server
     assert [r.updates for r in server.history] == [*[3] * CONFIG.rounds, 0]
     assert server.verdict.accepted
-    assert server.verdict.judges == len(JUDGES)
+    assert server.verdict.clients == len(VALIDATING)
     assert {client.used for client in federation.clients} == {federation.clients[0].model_of[2]}
 
 
@@ -215,7 +225,7 @@ def test_who_joins_late_uses_the_defaults_until_the_next_verdict(tmp_path: Path)
 
 
 def test_the_end_can_not_be_taken_back() -> None:
-    federation = with_gains(federation_of(), dict.fromkeys(JUDGES, -1.0))
+    federation = with_gains(federation_of(), dict.fromkeys(VALIDATING, -1.0))
     announced = rounds_of(federation, 5)
     client = federation.clients[0]
     client.receive(announced[-1])
@@ -239,16 +249,18 @@ def test_nobody_does_the_others_part() -> None:
     server.start(0.0)
     zero = np.zeros(server.layout.size, np.float32)
     empty = zero[:0]
-    judge, teacher = JUDGES[0], TEACHERS[0]
+    validating, training = VALIDATING[0], TRAINING[0]
     words = {"sample_count": 0, "gain": -1.0}
-    assert refusal(federation, update_of(server, judge, zero)) == Refusal.NOT_SELECTED
-    assert refusal(federation, update_of(server, teacher, empty, **words)) == Refusal.NOT_SELECTED
-    assert refusal(federation, update_of(server, judge, zero, **words)) == Refusal.SHAPE
+    assert refusal(federation, update_of(server, validating, zero)) == Refusal.NOT_SELECTED
+    assert refusal(federation, update_of(server, training, empty, **words)) == Refusal.NOT_SELECTED
+    assert refusal(federation, update_of(server, validating, zero, **words)) == Refusal.SHAPE
     endless = words | {"gain": math.inf}
-    assert refusal(federation, update_of(server, judge, empty, **endless)) == Refusal.NOT_FINITE
-    server.receive(update_of(server, judge, empty, **words), 0.0)
-    assert refusal(federation, update_of(server, judge, empty, **words)) == Refusal.DUPLICATE
-    assert (server.judged, server.collected) == (1, 0)
+    assert (
+        refusal(federation, update_of(server, validating, empty, **endless)) == Refusal.NOT_FINITE
+    )
+    server.receive(update_of(server, validating, empty, **words), 0.0)
+    assert refusal(federation, update_of(server, validating, empty, **words)) == Refusal.DUPLICATE
+    assert (server.validated, server.collected) == (1, 0)
 
 
 def test_a_silent_judge_holds_training_up_until_the_deadline_only() -> None:
@@ -256,26 +268,26 @@ def test_a_silent_judge_holds_training_up_until_the_deadline_only() -> None:
     server = federation.server
     first = server.start(0.0)
     for client in federation.clients:
-        if client.camera_id != JUDGES[0]:
+        if client.camera_id != VALIDATING[0]:
             update = client.answer(first)
             assert update is not None
             assert server.receive(update, 0.0) is None
     assert server.tick(CONFIG.deadline_s - 1.0) is None
     assert server.tick(CONFIG.deadline_s) is not None
-    assert (server.round, server.history[0].judges) == (2, len(JUDGES) - 1)
+    assert (server.round, server.history[0].validation_clients) == (2, len(VALIDATING) - 1)
 
 
 def test_settings_that_leave_too_few_are_refused() -> None:
-    for judges, words in ((3_000_001, "2 or more"), (2, "teach")):
+    for divisor, words in ((3_000_001, "2 or more"), (2, "train")):
         names = [n for n in (f"n{k}" for k in range(60)) if signer_id(n) % 2 == 0][:5]
         with pytest.raises(FederationError, match=words):
-            federation_of(names, replace(CONFIG, judges=judges % (1 << 16)))
+            federation_of(names, replace(CONFIG, validation_divisor=divisor % (1 << 16)))
 
 
 def test_the_announcement_says_who_judges_and_what_is_approved() -> None:
     federation = federation_of(config=replace(CONFIG, encoding="float32"))
     announced = [GlobalModel.decode(payload) for payload in rounds_of(federation, 5)]
-    assert {model.judges for model in announced} == {DIVISOR}
+    assert {model.validation_divisor for model in announced} == {DIVISOR}
     assert announced[0].approved == 0
     for before, model in itertools.pairwise(announced[1:-1]):
         assert model.approved == before.model
@@ -283,7 +295,7 @@ def test_the_announcement_says_who_judges_and_what_is_approved() -> None:
 
 
 def test_a_result_without_a_gain_is_an_abstention() -> None:
-    federation = federation_of(NAMES[:3], replace(CONFIG, judges=1))
+    federation = federation_of(NAMES[:3], replace(CONFIG, validation_divisor=1))
 
     def silent(asked: Sequence[tuple[FederatedClient, Work]]) -> list[LocalResult]:
         return [replace(r, gain=float("nan")) for r in federation.train_many(asked)]

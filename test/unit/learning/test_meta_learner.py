@@ -22,8 +22,7 @@ from geoorbit_ros.learning.local_training import (
     parameter_loss,
     train_locally,
 )
-from geoorbit_ros.learning.meta_learner import MetaLearner, tensor_shapes
-from geoorbit_ros.learning.model_file import load_model, save_model
+from geoorbit_ros.learning.meta_learner import MetaLearner, load_model, save_model, tensor_shapes
 from geoorbit_ros.learning.parameter_space import (
     DEFAULT_UNIT,
     PARAMETER_NAMES,

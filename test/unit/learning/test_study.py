@@ -1,4 +1,4 @@
-"""geoorbit train and evaluate on a fleet of three short cameras, and what training promises."""
+"""geoorbit train and evaluate on three short cameras, and what training promises."""
 
 from __future__ import annotations
 
@@ -14,14 +14,12 @@ from tasks import made_task
 from geoorbit_ros.cli.main import EXIT_BAD_INPUT, main
 from geoorbit_ros.learning.camera_task import load_task, save_task
 from geoorbit_ros.learning.evaluation import count_is_right
-from geoorbit_ros.learning.history import load_history
 from geoorbit_ros.learning.local_training import Examples
-from geoorbit_ros.learning.meta_learner import MetaLearner
-from geoorbit_ros.learning.model_file import load_model
+from geoorbit_ros.learning.meta_learner import MetaLearner, load_model
 from geoorbit_ros.learning.parameter_space import PARAMETER_NAMES
-from geoorbit_ros.learning.population import Cameras, Fleet, MapErrors, scene_task
+from geoorbit_ros.learning.population import Cameras, MapErrors, Population, scene_task
 from geoorbit_ros.learning.population_cameras import count_vehicles
-from geoorbit_ros.learning.training import RunSettings, TrainedModel, train
+from geoorbit_ros.learning.training import RunSettings, TrainedModel, load_history, train
 
 FLEET = """
 name: tiny
@@ -34,9 +32,11 @@ unseen: {first: 20003, count: 1}
 @pytest.fixture(scope="module")
 def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("study")
-    (folder / "fleet.yaml").write_text(FLEET)
+    (folder / "population.yaml").write_text(FLEET)
     words = ["--rounds", "3", "--estimator", "curvilinear", "--workers", "1"]
-    assert main(["train", str(folder / "fleet.yaml"), "--out", str(folder / "out"), *words]) == 0
+    assert (
+        main(["train", str(folder / "population.yaml"), "--out", str(folder / "out"), *words]) == 0
+    )
     return folder / "out"
 
 
@@ -68,7 +68,7 @@ def test_bad_input_is_one_sentence_and_exit_code_two(
     broken = tmp_path / "broken.yaml"
     broken.write_text(FLEET.replace("count: 2", "count: two"))
     for words, told in (
-        (["train", str(other), "--out", str(study)], "another fleet"),
+        (["train", str(other), "--out", str(study)], "another population"),
         (["train", str(broken), "--out", str(tmp_path / "new")], "count"),
         (["evaluate", "--out", str(tmp_path / "nowhere")], "geoorbit train"),
     ):
@@ -80,14 +80,14 @@ def test_bad_input_is_one_sentence_and_exit_code_two(
 
 
 def test_a_camera_of_a_fleet_is_the_same_every_time_and_survives_the_file(tmp_path: Path) -> None:
-    fleet = Fleet(
+    population = Population(
         name="one",
         duration_s=10.0,
         seen=Cameras(first=3, count=1),
         unseen=Cameras(first=4, count=0),
         tilt_deg=2.0,
     )
-    first, second = (scene_task(fleet, "a", 3) for _ in range(2))
+    first, second = (scene_task(population, "a", 3) for _ in range(2))
     assert first.tracks.rows.tobytes() == second.tracks.rows.tobytes()
     save_task(first, tmp_path / "a.npz")
     loaded = load_task(tmp_path / "a.npz")
@@ -102,14 +102,14 @@ def test_a_camera_of_a_fleet_is_the_same_every_time_and_survives_the_file(tmp_pa
 
 
 def test_the_map_that_is_learned_from_is_off_as_the_fleet_says() -> None:
-    fleet = Fleet(
+    population = Population(
         name="one",
         duration_s=10.0,
         seen=Cameras(first=3, count=1),
         unseen=Cameras(first=4, count=0),
         map=MapErrors(offset_sigma_m=1.0, width_step_m=0.5),
     )
-    task = scene_task(fleet, "a", 3)
+    task = scene_task(population, "a", 3)
     shift = task.supervision[0].centerline_m - task.truth[0].centerline_m
     np.testing.assert_allclose(shift, np.broadcast_to(shift[0], shift.shape), atol=1e-9)
     assert 0.01 < np.hypot(*shift[0]) < 5.0
@@ -163,14 +163,14 @@ def test_federated_and_central_training_end_near_each_other() -> None:
 
 
 def test_each_draw_has_cameras_of_its_own() -> None:
-    fleet = Fleet(
+    population = Population(
         name="many", draws=3, seen=Cameras(first=5, count=4), unseen=Cameras(first=900, count=2)
     )
-    drawn = [set(fleet.of_draw(draw).scenes) for draw in range(3)]
+    drawn = [set(population.of_draw(draw).scenes) for draw in range(3)]
     assert [len(cameras) for cameras in drawn] == [6, 6, 6]
     assert len(set.union(*drawn)) == 18
-    assert set(fleet.of_draw(3).scenes) == drawn[0]
-    assert fleet.of_draw(1).of_draw(7) == fleet.of_draw(1)
+    assert set(population.of_draw(3).scenes) == drawn[0]
+    assert population.of_draw(1).of_draw(7) == population.of_draw(1)
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from geoorbit_ros.federated.rounds.server_config import ServerConfig
 from geoorbit_ros.federated.rounds.server_state import ServerState
 
 
-class Announcer:
+class ModelBroadcast:
     """Makes the payload for each round and keeps what a late joiner needs.
 
     With `float32` and `float16` every round's payload is the whole model. With `int8` and `top_k`
@@ -92,7 +92,7 @@ class Announcer:
         return self._append(delta)
 
     def repeat(self, state: ServerState, clients: tuple[int, ...], flags: int) -> bytes:
-        """The whole model of the open round, exact: for whoever has no or another one."""
+        """The whole model of the open round, exact: for clients with no model or another one."""
         return self._whole(state, clients, flags, Float32(), state.published)
 
     def seal(self, unsigned: bytes) -> bytes:
@@ -115,7 +115,7 @@ class Announcer:
             state.digests[state.round],
             self._config.interface,
             self._approved(state),
-            self._config.judges,
+            self._config.validation_divisor,
             self._proximal_mu,
             clients,
             self._layout,
@@ -131,8 +131,8 @@ class Announcer:
         return payload
 
     def _approved(self, state: ServerState) -> int:
-        """Digest of the model to use; without judges, that of the newest one."""
-        return state.approved if self._config.judges else state.digests[state.round]
+        """Digest of the model to use; without validation, that of the newest one."""
+        return state.approved if self._config.validation_divisor else state.digests[state.round]
 
     def _decoded(self, encoding: Encoding, vector: Vector) -> Vector:
         """What comes out at the other end."""

@@ -7,7 +7,7 @@ from geoorbit_ros.federated.payloads.header import schema_of
 from geoorbit_ros.federated.rounds.client import FederatedClient
 
 
-class Outbox:
+class ResendQueue:
     """Keeps the last update until a newer model, or the end of training, shows that it was heard.
 
     No acknowledgement is needed: a synchronous server goes on once it has heard everybody. One that

@@ -15,13 +15,13 @@ from geoorbit_ros.federated.privacy.message import SCHEMA as SECURE
 from geoorbit_ros.federated.privacy.message import SecureMessage
 from geoorbit_ros.federated.rounds.server_config import ServerConfig
 from geoorbit_ros.federated.rounds.server_state import ServerState
-from geoorbit_ros.federated.rounds.verdict import is_judge, is_teacher
+from geoorbit_ros.federated.rounds.verdict import is_training_client, is_validation_client
 
 _OVERHEAD_BYTES = 512
 """More than any update needs beyond 5 bytes per weight: the longest encoding is top-k of all."""
 
 
-class Admission:
+class UpdateChecks:
     """Checks updates in the order of `Refusal`: what is cheap and unforgeable comes first.
 
     Args:
@@ -43,7 +43,7 @@ class Admission:
             if member is not None:
                 self._verifiers[number] = Verifier(member.public, config.federation)
 
-    def admit(
+    def check(
         self, payload: bytes, state: ServerState, selected: frozenset[int]
     ) -> tuple[ClientUpdate, Vector | None]:
         """Read an update to the open round, or with an asynchronous strategy to an earlier one.
@@ -54,7 +54,7 @@ class Admission:
             selected: Clients of the open round; empty: all on the roster.
 
         Returns:
-            The update and its weights, shape (size,); of a client that only judges, None.
+            The update and its weights, shape (size,); None from a validation client.
 
         Raises:
             PayloadError: With any reason.
@@ -75,7 +75,7 @@ class Admission:
             raise PayloadError(Refusal.NOT_FINITE, SCHEMA, found, "finite ones")
         return update, self._checked_vector(update) if update.sample_count else None
 
-    def admit_masked(
+    def check_masked(
         self, payload: bytes, state: ServerState, selected: frozenset[int]
     ) -> SecureMessage:
         """Read a client's step of a masked sum of the open round; its data are not looked at.
@@ -91,8 +91,9 @@ class Admission:
         if state.finished or message.round < state.round:
             found, expected = f"round {message.round}", f"round {state.round}"
             raise PayloadError(Refusal.OLD_ROUND, SECURE, found, expected)
-        judges = self._config.judges > 1 and is_judge(message.sender, self._config.judges)
-        if selected and message.sender not in selected and not judges:
+        divisor = self._config.validation_divisor
+        validates = divisor > 1 and is_validation_client(message.sender, divisor)
+        if selected and message.sender not in selected and not validates:
             found = f"client {message.sender}"
             raise PayloadError(Refusal.NOT_SELECTED, SECURE, found, "one of this round")
         verifier.check(payload, SECURE)
@@ -108,25 +109,29 @@ class Admission:
         if update.model != state.digests.get(update.round):
             found, expected = f"model {update.model:08x}", f"that of round {update.round}"
             raise PayloadError(Refusal.OTHER_MODEL, SCHEMA, found, expected)
-        if state.ledger.last(update.client) >= update.round:
+        if state.answers.last(update.client) >= update.round:
             found = f"client {update.client} for round {update.round} again"
             raise PayloadError(Refusal.DUPLICATE, SCHEMA, found, "one update per round")
 
     def _check_role(
         self, update: ClientUpdate, state: ServerState, selected: frozenset[int]
     ) -> None:
-        """Teachers teach, judges judge the open round's model, and nobody does the other's part."""
-        divisor, found = self._config.judges, f"client {update.client}"
+        """Only training clients train; only validation clients report on the open model."""
+        divisor, found = self._config.validation_divisor, f"client {update.client}"
         if update.sample_count:
-            teaches = is_teacher(update.client, divisor)
-            if not teaches or (selected and update.client not in selected):
-                raise PayloadError(Refusal.NOT_SELECTED, SCHEMA, found, "a teacher of this round")
+            trains = is_training_client(update.client, divisor)
+            if not trains or (selected and update.client not in selected):
+                raise PayloadError(
+                    Refusal.NOT_SELECTED, SCHEMA, found, "a training client of this round"
+                )
             if state.trained:
-                expected = "judgements, training is over"
+                expected = "gains only, training is over"
                 raise PayloadError(Refusal.OLD_ROUND, SCHEMA, f"round {update.round}", expected)
             return
-        if not is_judge(update.client, divisor) or (divisor == 1 and not state.trained):
-            raise PayloadError(Refusal.NOT_SELECTED, SCHEMA, found, "a judge of this round")
+        if not is_validation_client(update.client, divisor) or (divisor == 1 and not state.trained):
+            raise PayloadError(
+                Refusal.NOT_SELECTED, SCHEMA, found, "a validation client of this round"
+            )
         if update.round < state.round:
             found, expected = f"round {update.round}", f"round {state.round}"
             raise PayloadError(Refusal.OLD_ROUND, SCHEMA, found, expected)
