@@ -46,8 +46,7 @@ def from_csv(
 
     from geoorbit_ros.calibration.control_points import read_control_points
     from geoorbit_ros.calibration.homography import fit_homography
-    from geoorbit_ros.cli.console import status
-    from geoorbit_ros.cli.units import format_size
+    from geoorbit_ros.cli.console import format_size, status
     from geoorbit_ros.core.errors import CalibrationError
     from geoorbit_ros.storage.track_bag import describe_bag, write_track_bag
     from geoorbit_ros.storage.track_csv import read_track_csv
@@ -82,8 +81,7 @@ def info(
 
     Example: [bold]geoorbit bag info north_bag[/bold]
     """
-    from geoorbit_ros.cli.console import console, make_table
-    from geoorbit_ros.cli.units import format_size, format_time
+    from geoorbit_ros.cli.console import console, format_size, format_time, make_table
     from geoorbit_ros.storage.track_bag import describe_bag
 
     found = describe_bag(bag)

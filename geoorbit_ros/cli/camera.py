@@ -11,10 +11,11 @@ from geoorbit_ros.cli.inputs import CalibrationOption
 
 if TYPE_CHECKING:
     from geoorbit_ros.calibration.plane import Homography
+    from geoorbit_ros.cli.camera_run import CameraJob
 
 app = typer.Typer(help="Set up cameras of a fleet.", no_args_is_help=True)
 
-PICTURE, TRACKS, LANES, REPORT = "calibration.png", "tracks.csv", "lanes.geojson", "report.html"
+CALIBRATION_IMAGE = "calibration.png"
 
 
 @app.command("add")
@@ -29,7 +30,7 @@ def add(
         Path, typer.Option("--fleet", help="The fleet file to add it to; made if not there.")
     ],
     out: Annotated[
-        Path, typer.Option("--out", help="Folder for picture, lanes and report; must not exist.")
+        Path, typer.Option("--out", help="Folder for image, lanes and report; must not exist.")
     ],
     model: Annotated[
         Path | None,
@@ -50,62 +51,52 @@ def add(
     """
     import cv2
 
-    from geoorbit_ros.cli.camera_run import CameraRun, WatchedMapper, warm_up_detector
-    from geoorbit_ros.cli.console import console, say, status
-    from geoorbit_ros.cli.inputs import DEFAULT_ESTIMATOR, CameraInput, load_calibration
-    from geoorbit_ros.cli.process import DEFAULT_FPS, opened_source, shown_images
-    from geoorbit_ros.cli.report import describe_method, save_report
-    from geoorbit_ros.cli.tables import print_lanes
+    from geoorbit_ros.cli.camera_run import REPORT, CameraJob, open_camera, warm_up_detector
+    from geoorbit_ros.cli.console import console, print_lanes, say, status
+    from geoorbit_ros.cli.inputs import load_calibration
     from geoorbit_ros.detection.detector import make_detector
-    from geoorbit_ros.fleet.fleet_entry import add_camera, check_new_camera, relative
-    from geoorbit_ros.lanes.estimators.estimator import make_estimator
-    from geoorbit_ros.lanes.geojson import write_lanes
-    from geoorbit_ros.lanes.pipeline import map_lanes
+    from geoorbit_ros.fleet.fleet_file import add_camera, check_new_camera
     from geoorbit_ros.report.calibration_image import draw_calibration
-    from geoorbit_ros.report.recording import Recording
     from geoorbit_ros.scenes.output import check_new_folder
     from geoorbit_ros.storage.atomic import atomic_output
-    from geoorbit_ros.storage.track_csv import write_track_csv
 
     check_new_folder(out)
     check_new_camera(fleet, camera_id)
     homography, origin = load_calibration(calibration, None)
     with status("loading"):
         detector = make_detector(model)
-    estimator, period_s = DEFAULT_ESTIMATOR, 5.0
-    mapper = WatchedMapper(make_estimator(estimator), update_period_s=period_s)
-    run, recording = CameraRun(homography, detector, mapper), Recording()
-    with opened_source(source, None, duration) as images, atomic_output(out) as folder:
+    job = CameraJob(camera_id, calibration, homography, origin, detector)
+    with open_camera(source, None, duration) as images, atomic_output(out) as folder:
         folder.mkdir()
         warm_up_detector(detector, images, duration)
         _, first = next(iter(images))
-        cv2.imwrite(str(folder / PICTURE), draw_calibration(first, homography))
-        size = (first.shape[1], first.shape[0])
-        _print_calibration(homography, size)
-        fps = images.fps or DEFAULT_FPS
-        ground = run.ground_tracks(shown_images(images, duration), None, fps)
-        lane_map = map_lanes(recording.tee(ground), mapper, images.name)
-        write_lanes(folder / LANES, lane_map, origin, camera_id=camera_id, estimator=estimator)
-        frames = run.track_frames()
-        write_track_csv(folder / TRACKS, frames)
-        camera = CameraInput(
-            camera_id, folder / TRACKS, calibration, frames, homography, origin, size
-        )
-        method = f"{detector.name}; {describe_method(estimator, period_s)}"
-        save_report(folder / REPORT, camera, lane_map, recording, method)
-    print_lanes(lane_map, f"Lanes of {camera_id} after {duration:g} s")
+        cv2.imwrite(str(folder / CALIBRATION_IMAGE), draw_calibration(first, homography))
+        _print_calibration(homography, (first.shape[1], first.shape[0]))
+        job.find_lanes(images, duration)
+        job.write(folder)
+    print_lanes(job.lane_map, f"Lanes of {camera_id} after {duration:g} s")
+    add_camera(fleet, _entry(job, source, model, fleet), fleet.stem)
+    say(f"Look at {out / CALIBRATION_IMAGE} and {out / REPORT}.")
+    console.print(f" Camera {camera_id} is in {fleet}: geoorbit up {fleet}", soft_wrap=True)
+
+
+def _entry(job: CameraJob, source: str, model: Path | None, fleet: Path) -> dict[str, object]:
+    """The camera as the fleet file names it."""
+    from geoorbit_ros.fleet.fleet_file import relative
+
     entry: dict[str, object] = {
-        "id": camera_id,
+        "id": job.camera_id,
         "source": relative(Path(source), fleet) if Path(source).exists() else source,
-        "calibration": relative(calibration, fleet),
-        "image_size": list(size),
-        "datum": {"latitude_deg": origin.latitude_deg, "longitude_deg": origin.longitude_deg},
+        "calibration": relative(job.calibration, fleet),
+        "image_size": list(job.run.image_size),
+        "datum": {
+            "latitude_deg": job.datum.latitude_deg,
+            "longitude_deg": job.datum.longitude_deg,
+        },
     }
     if model is not None:
         entry["model"] = relative(model, fleet)
-    add_camera(fleet, entry, fleet.stem)
-    say(f"Look at {out / PICTURE} and {out / REPORT}.")
-    console.print(f" Camera {camera_id} is in {fleet}: geoorbit up {fleet}", soft_wrap=True)
+    return entry
 
 
 def _print_calibration(homography: Homography, image_size: tuple[int, int]) -> None:

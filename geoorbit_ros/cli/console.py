@@ -1,4 +1,4 @@
-"""What every command prints with: one console, one progress display, one table style."""
+"""What every command prints with: one console, progress, tables of lanes and scores, units."""
 
 from __future__ import annotations
 
@@ -7,15 +7,20 @@ import sys
 import time
 from collections.abc import Iterable, Iterator, Sized
 from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, TypeVar
 
 from rich.console import Console
+
+from geoorbit_ros.core.errors import ParameterError
 
 if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
     from rich.table import Table
 
+    from geoorbit_ros.core.lanes import LaneMap
     from geoorbit_ros.learning.processes import Progress
+    from geoorbit_ros.metrics.lane_score import LaneScore
 
 
 _PIPED_WIDTH = 120
@@ -34,6 +39,7 @@ error_console = _make_console(stderr=True)
 
 _Item = TypeVar("_Item")
 _MIN_REDRAW_S = 0.1
+"""Between two drawings of a progress bar. Chosen: smaller costs time, larger looks stuck."""
 
 
 def make_progress() -> RichProgress:
@@ -115,3 +121,108 @@ def shown_progress() -> Iterator[Progress]:
             bars.update(task, description=what, completed=share)
 
         yield report
+
+
+_STYLE = {"confirmed": "green", "tentative": "yellow"}
+
+
+def print_lanes(lane_map: LaneMap, title: str = "Lanes") -> None:
+    """Print one row per lane, and what traffic tentative lanes still need."""
+    from geoorbit_ros.report.text import compass, missing_sentence, number, summary_sentence
+
+    table = make_table(
+        title, ">lane|status|direction|>width m|>vehicles|>confidence|>length m|>± m"
+    )
+    for lane in lane_map.lanes:
+        table.add_row(
+            str(lane.lane_id),
+            f"[{_STYLE[lane.status]}]{lane.status}[/]",
+            f"{compass(lane.heading_deg):>2} {lane.heading_deg:3.0f}°",
+            f"{number(lane.width_m)} ± {number(lane.width_sigma_m)}",
+            number(lane.vehicles, 0),
+            number(lane.confidence),
+            number(lane.length_m, 0),
+            number(lane.sigma_m),
+        )
+    console.print(table)
+    for lane in lane_map.lanes:
+        if lane.status == "tentative":
+            say(missing_sentence(lane))
+    say(summary_sentence(lane_map.lanes))
+
+
+def print_score(score: LaneScore) -> None:
+    """Print one row per true lane, and the totals as sentences."""
+    from geoorbit_ros.report.text import number, score_sentences
+
+    table = make_table(
+        "Against the truth",
+        ">truth|>vehicles|>lane|status|>error m|>95 % m|>bias m|>width m|>covered",
+    )
+    for row in score.lanes:
+        if row.lane_id is None:
+            table.add_row(
+                str(row.truth_id), number(row.vehicles, 0), "–", "[red]missed[/]", *["–"] * 5
+            )
+            continue
+        table.add_row(
+            str(row.truth_id),
+            number(row.vehicles, 0),
+            str(row.lane_id),
+            f"[{_STYLE[str(row.status)]}]{row.status}[/]",
+            number(row.mean_m),
+            number(row.p95_m),
+            number(row.bias_m, signed=True),
+            number(row.width_error_m, signed=True),
+            f"{row.coverage:.0%}",
+        )
+    console.print(table)
+    for sentence in score_sentences(score):
+        say(sentence)
+
+
+_EPOCH_NS = 10**17
+"""Later than 1973: the clock counts from 1970. Earlier: from the start of some recording."""
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+"""Stamps count from here (POSIX)."""
+
+
+def format_size(size_bytes: int) -> str:
+    """`479.7 kB`; powers of 1000."""
+    for unit, scale in (("GB", 10**9), ("MB", 10**6), ("kB", 10**3)):
+        if size_bytes >= scale:
+            return f"{size_bytes / scale:.1f} {unit}"
+    return f"{size_bytes} bytes"
+
+
+def count_of(number: int, noun: str) -> str:
+    """`1 camera`, `2 cameras`."""
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
+
+
+def format_time(stamp_ns: int) -> str:
+    """Date and time in UTC, or seconds when the clock plainly doesn't count from 1970."""
+    if stamp_ns < _EPOCH_NS:
+        return f"{stamp_ns / 1e9:.3f} s"
+    return f"{_EPOCH + timedelta(microseconds=stamp_ns // 1000):%Y-%m-%d %H:%M:%S} UTC"
+
+
+def parse_time(text: str, place: str) -> int:
+    """Nanoseconds of `12.5` (seconds) or of an ISO 8601 date with or without time and offset.
+
+    Raises:
+        ParameterError: Neither.
+    """
+    try:
+        return round(float(text) * 1e9)
+    except (ValueError, OverflowError):
+        pass  # not a number: a date
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError:
+        raise ParameterError(
+            place, f"'{text}'", "seconds, or a date and time such as 2026-05-01T06:00"
+        ) from None
+    if moment.tzinfo is None:
+        moment = moment.replace(tzinfo=UTC)
+    return (moment - _EPOCH) // timedelta(microseconds=1) * 1000

@@ -22,8 +22,7 @@ def info(database: DatabaseArgument) -> None:
 
     Example: [bold]geoorbit db info trajectories.db[/bold]
     """
-    from geoorbit_ros.cli.console import console, make_table
-    from geoorbit_ros.cli.units import count_of, format_size, format_time
+    from geoorbit_ros.cli.console import console, count_of, format_size, format_time, make_table
     from geoorbit_ros.storage.database.reader import TrajectoryReader
 
     with TrajectoryReader(database) as reader:
@@ -64,8 +63,7 @@ def export(
     Example: [bold]geoorbit db export trajectories.db --out may.parquet --from 2026-05-01
     --to 2026-06-01[/bold]
     """
-    from geoorbit_ros.cli.console import make_progress
-    from geoorbit_ros.cli.units import format_size, parse_time
+    from geoorbit_ros.cli.console import format_size, make_progress, parse_time
     from geoorbit_ros.storage.database.export import export_tracks
     from geoorbit_ros.storage.database.reader import TrajectoryReader
 

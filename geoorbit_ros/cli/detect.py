@@ -10,8 +10,11 @@ import typer
 
 from geoorbit_ros.cli.inputs import (
     ClassNamesOption,
+    DurationOption,
+    FpsOption,
     MinScoreOption,
     ModelOption,
+    SourceArgument,
     parse_names,
 )
 from geoorbit_ros.core.errors import ParameterError
@@ -26,12 +29,7 @@ if TYPE_CHECKING:
 
 
 def detect(
-    source: Annotated[
-        str,
-        typer.Argument(
-            help="Video file, address of a stream, folder of images, or scene:NAME?seed=1."
-        ),
-    ],
+    source: SourceArgument,
     out: Annotated[
         Path,
         typer.Option(
@@ -41,13 +39,8 @@ def detect(
     model: ModelOption = None,
     class_names: ClassNamesOption = "",
     min_score: MinScoreOption = 0.25,
-    duration: Annotated[
-        float | None,
-        typer.Option("--duration", min=0.1, metavar="SECONDS", help="Stop after this time."),
-    ] = None,
-    fps: Annotated[
-        float | None, typer.Option("--fps", help="Frames per second of a folder of images.")
-    ] = None,
+    duration: DurationOption = None,
+    fps: FpsOption = None,
     picture: Annotated[
         Path | None,
         typer.Option("--picture", help="Also draw where vehicles drive, as a .png or .jpg."),
@@ -62,7 +55,7 @@ def detect(
     Example: [bold]geoorbit detect north.mp4 --out det.txt[/bold], then
     [bold]geoorbit track --detections det.txt --fps 25 --out tracks.txt[/bold]
     """
-    from geoorbit_ros.cli.camera_run import warm_up_detector
+    from geoorbit_ros.cli.camera_run import open_images, warm_up_detector
     from geoorbit_ros.cli.console import console, status
     from geoorbit_ros.detection.detector import DetectorSettings, make_detector
     from geoorbit_ros.storage.mot_text import write_mot
@@ -73,7 +66,7 @@ def detect(
     with status("loading"):
         detector = make_detector(model, DetectorSettings(min_score, class_names=names))
     run = _Run(detector, picture)
-    with _opened(source, fps, duration) as images:
+    with open_images(source, fps, duration) as images:
         warm_up_detector(detector, images, duration)
         boxes = write_mot(out, run.frames(images, duration))
     console.print(f" {boxes} boxes in {run.count} images, by {detector.name}.")
@@ -81,7 +74,7 @@ def detect(
 
 
 class _Run:
-    """Runs a detector over images, and keeps what the picture needs."""
+    """Runs a detector over images, and keeps what the image of the road needs."""
 
     def __init__(self, detector: Detector, picture: Path | None) -> None:
         self.count = 0
@@ -91,20 +84,12 @@ class _Run:
     def frames(
         self, images: FrameSource, duration_s: float | None
     ) -> Iterator[tuple[int, NDArray[np.void]]]:
-        """Number and rows of every image; at the end, draws the picture."""
-        from geoorbit_ros.cli.console import track
+        """Number and rows of every image; at the end, draws the image of the road."""
+        from geoorbit_ros.cli.camera_run import shown_images
         from geoorbit_ros.detection.road_segments import RoadSegments
         from geoorbit_ros.report.image_overlay import draw_segments, write_image
 
-        counts = [images.frame_count] if images.frame_count else []
-        if duration_s is not None and images.fps:
-            counts.append(round(duration_s * images.fps))
-        first_ns: int | None = None
-        total = min(counts, default=None)
-        for stamp_ns, image in track(images, "finding vehicles", total):
-            first_ns = stamp_ns if first_ns is None else first_ns
-            if duration_s is not None and stamp_ns - first_ns >= duration_s * 1e9:
-                break
+        for stamp_ns, image in shown_images(images, duration_s, "finding vehicles"):
             rows = self._detector.detect(stamp_ns, image)
             self.count += 1
             if self._segments is None:
@@ -116,17 +101,3 @@ class _Run:
             raise ParameterError(images.name, "no images", "at least one")
         if self._picture and self._segments:
             write_image(self._picture, draw_segments(last, self._segments))
-
-
-def _opened(source: str, fps: float | None, duration_s: float | None) -> FrameSource:
-    from geoorbit_ros.cli.console import error_console, status
-    from geoorbit_ros.rendering.frame_source import SCENES
-    from geoorbit_ros.storage.frames.open_source import open_frame_source
-    from geoorbit_ros.storage.frames.source import SourceOptions
-
-    options = SourceOptions(fps=fps, report=lambda text: error_console.print(text, style="dim"))
-    with status("opening"):
-        images = open_frame_source(source, options, SCENES)
-    if images.live and duration_s is None:
-        raise ParameterError("option --duration", "none for a stream", "how many seconds to take")
-    return images

@@ -34,6 +34,20 @@ TracksOption = Annotated[
 BagOption = Annotated[
     Path | None, typer.Option("--bag", help="Tracked boxes: a rosbag2 bag with a tracks_px topic.")
 ]
+SourceArgument = Annotated[
+    str,
+    typer.Argument(help="Video file, address of a stream, folder of images, or scene:NAME?seed=1."),
+]
+FpsOption = Annotated[
+    float | None, typer.Option("--fps", help="Frames per second of a folder of images.")
+]
+DurationOption = Annotated[
+    float | None,
+    typer.Option("--duration", min=0.1, metavar="SECONDS", help="Stop after this time."),
+]
+DomainOption = Annotated[
+    int | None, typer.Option(min=0, max=232, help="ROS domain; default: the environment's.")
+]
 CalibrationOption = Annotated[
     Path,
     typer.Option(

@@ -43,8 +43,7 @@ def lanes(
     Example: [bold]geoorbit lanes --tracks tracks.csv --calibration calibration.csv
     --out lanes.geojson --report report.html[/bold]
     """
-    from geoorbit_ros.cli.console import console
-    from geoorbit_ros.cli.tables import print_lanes
+    from geoorbit_ros.cli.console import console, print_lanes
     from geoorbit_ros.lanes.geojson import write_lanes
     from geoorbit_ros.lanes.pipeline import map_lanes
     from geoorbit_ros.report.recording import Recording

@@ -72,8 +72,7 @@ def _print_map(built: BuiltMap) -> None:
     import numpy as np
 
     from geoorbit_ros.cli.console import console as screen
-    from geoorbit_ros.cli.console import make_table, say
-    from geoorbit_ros.cli.units import count_of
+    from geoorbit_ros.cli.console import count_of, make_table, say
 
     network = built.network
     table = make_table("Lanes of the network", ">width m|>lanes|>km")

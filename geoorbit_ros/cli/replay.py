@@ -54,8 +54,7 @@ def replay(
     Example: [bold]geoorbit replay north_bag --calibration calibration.csv --rate 10
     --out lanes.geojson[/bold]
     """
-    from geoorbit_ros.cli.console import console, make_progress
-    from geoorbit_ros.cli.tables import print_lanes
+    from geoorbit_ros.cli.console import console, make_progress, print_lanes
     from geoorbit_ros.core.errors import NoTrafficError
     from geoorbit_ros.lanes.geojson import read_lanes
     from geoorbit_ros.nodes.support.bag_replay import ReplayRequest

@@ -33,7 +33,7 @@ def score(
 
     Example: [bold]geoorbit score lanes.geojson truth.geojson --require[/bold]
     """
-    from geoorbit_ros.cli.tables import print_score
+    from geoorbit_ros.cli.console import print_score
     from geoorbit_ros.lanes.geojson import read_lane_file, read_lanes
     from geoorbit_ros.metrics.score import score_lanes
 

@@ -9,16 +9,34 @@ from pathlib import Path
 
 from geoorbit_ros.core.errors import GeoOrbitError, InputFileError
 from geoorbit_ros.core.plugins import plugin_file, registered
-from geoorbit_ros.fleet.federation_keys import ROSTER, SERVER_KEY, FederationKeys
 from geoorbit_ros.fleet.fleet_file import Camera, Fleet, Value
 
 BAG_IMAGE_SIZE = (1920, 1080)
+"""Width and height of the images of a recording of boxes, which doesn't tell them: full HD."""
 SERVER, TWIN, CARLA, VIEWER = SERVICES = "federated_server", "twin", "carla", "viewer"
 """Names of the processes that are no camera's; no camera may be called so."""
 
 
 class FleetPlanError(GeoOrbitError):
     """A fleet that can't be started as it is asked for."""
+
+
+SERVER_KEY, ROSTER = "server.key", "roster.txt"
+
+
+@dataclass(frozen=True, slots=True)
+class FederationKeys:
+    """Where the keys are, and the public ones.
+
+    Attributes:
+        folder: Holds `server.key`, `<camera>.key` and `roster.txt`.
+        server: Public key in hex digits.
+        cameras: The same by camera id.
+    """
+
+    folder: Path
+    server: str
+    cameras: dict[str, str]
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Container, Sequence
 from pathlib import Path
 
-from geoorbit_ros.fleet.federation_keys import federation_keys
+from geoorbit_ros.federated.keys import Signer, read_private_key, write_private_key
 from geoorbit_ros.fleet.fleet_file import Camera, Fleet
 from geoorbit_ros.fleet.plan import (
+    ROSTER,
+    SERVER_KEY,
+    FederationKeys,
     ProcessPlan,
     calibration_file,
     image_source,
@@ -87,3 +90,25 @@ def prepare(
         names = [camera.id for camera in fleet.cameras if camera.enabled]
         keys = federation_keys(output / "keys", names)
     return select(plan_fleet(fleet, base, output, keys), only)
+
+
+def federation_keys(folder: Path, camera_ids: Sequence[str]) -> FederationKeys:
+    """Read the keys of server and cameras, make those that are missing, and write the roster.
+
+    Raises:
+        FederationError: A key file that is broken or can't be written.
+    """
+    server = _public(folder / SERVER_KEY)
+    cameras = {name: _public(folder / f"{name}.key") for name in camera_ids}
+    with atomic_output(folder / ROSTER) as path:
+        lines = (f"{name} {key}\n" for name, key in cameras.items())
+        path.write_text("".join(lines), encoding="utf-8")
+    return FederationKeys(folder, server, cameras)
+
+
+def _public(file: Path) -> str:
+    if not file.exists():
+        return write_private_key(file).hex()
+    public = Signer(read_private_key(file), "").public
+    assert public is not None  # it was made from a key
+    return public.hex()

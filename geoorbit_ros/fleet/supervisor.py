@@ -18,10 +18,19 @@ from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
-from geoorbit_ros.fleet.allocator import ALLOCATOR
 from geoorbit_ros.fleet.plan import ProcessPlan
 
+ALLOCATOR = {
+    "MALLOC_ARENA_MAX": "2",
+    "MALLOC_MMAP_THRESHOLD_": "1048576",
+    "MALLOC_TRIM_THRESHOLD_": "1048576",
+}
+"""Of glibc (mallopt(3)), unless the environment says otherwise. By itself it takes ever larger
+blocks from the heap, where tables that live for a minute leave holes between those that last: a
+camera grew by 2.5 MB a minute. With fixed thresholds it stays flat, for 4 % more processor time."""
+
 HEARTBEAT_PERIOD_S = 1.0
+"""Between two signs of life. Chosen: a part of `Timing.heartbeat_s`, so that some may be late."""
 LOG_BYTES = 5_000_000
 """A log file that is larger when its process starts is set aside as `.1`."""
 
@@ -50,6 +59,7 @@ class Timing:
 
 
 LAST_LINE_BYTES = 2000
+"""How much of a log's end is searched for the last thing a process said. Chosen: a few lines."""
 
 
 class State(Enum):

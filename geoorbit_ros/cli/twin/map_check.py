@@ -60,8 +60,7 @@ def patch(lanes: LanesArgument, net: NetOption, out: OutOption) -> None:
     """
     import json
 
-    from geoorbit_ros.cli.console import console, say, status
-    from geoorbit_ros.cli.units import count_of
+    from geoorbit_ros.cli.console import console, count_of, say, status
     from geoorbit_ros.lanes.geojson import read_lane_file
     from geoorbit_ros.mapcheck.patch import patch_network
     from geoorbit_ros.mapcheck.validation_image import save_validation

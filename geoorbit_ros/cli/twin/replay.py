@@ -257,8 +257,7 @@ def routes(
     Example: [bold]geoorbit twin routes north_bag --net area/network.net.xml
     --calibration north.csv --out demand[/bold]
     """
-    from geoorbit_ros.cli.console import console, say
-    from geoorbit_ros.cli.units import count_of
+    from geoorbit_ros.cli.console import console, count_of, say
     from geoorbit_ros.core.errors import NoTrafficError
     from geoorbit_ros.roadnet.network import load_network
     from geoorbit_ros.storage.atomic import atomic_output

@@ -2,22 +2,56 @@
 
 from __future__ import annotations
 
+import ctypes
 import inspect
 import os
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from geoorbit_ros.core.errors import ParameterError
-from geoorbit_ros.fleet.allocator import FreeMemory
 from geoorbit_ros.fleet.plan import NodePlan, ProcessPlan
 from geoorbit_ros.fleet.supervisor import HEARTBEAT_PERIOD_S
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.nodes.support.process import run_nodes
+
+GIVE_BACK_PERIOD_S = 60.0
+"""Between two returns of free memory. Chosen: larger, processes stay bigger for longer; smaller,
+the milliseconds that it takes come more often."""
+
+
+class FreeMemory:
+    """Gives pages without content back to the system, every now and then.
+
+    A map's derivation takes a few megabytes and leaves them scattered over the heap. glibc returns
+    only the heap's end by itself; `malloc_trim(3)` returns whole free pages anywhere.
+
+    Args:
+        period_s: Between two times.
+    """
+
+    def __init__(self, period_s: float = GIVE_BACK_PERIOD_S) -> None:
+        self._period_s = period_s
+        self._due_s = time.monotonic() + period_s
+        # Another C library than glibc has no such function, and manages without.
+        try:
+            self._trim: Callable[[int], int] | None = ctypes.CDLL(None).malloc_trim
+        except AttributeError:
+            self._trim = None
+
+    def give_back_if_due(self) -> bool:
+        """Whether it was time to; takes some milliseconds then."""
+        now = time.monotonic()
+        if now < self._due_s:
+            return False
+        self._due_s = now + self._period_s
+        if self._trim is not None:
+            self._trim(0)
+        return True
 
 
 class Heartbeat:

@@ -8,8 +8,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from geoorbit_ros.cli.console import format_size, format_time, parse_time
 from geoorbit_ros.cli.main import main
-from geoorbit_ros.cli.units import format_size, format_time, parse_time
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.core.tables import TRACK_DTYPE
 from geoorbit_ros.storage.database.writer import TrajectoryDatabase

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from geoorbit_ros.core.errors import InputFileError
-from geoorbit_ros.fleet.fleet_entry import add_camera, relative
+from geoorbit_ros.fleet.fleet_file import add_camera, relative
 
 ENTRY = {"id": "north", "source": "scene:lane_drop", "image_size": [640, 360]}
 

@@ -3,12 +3,12 @@
 import subprocess
 import sys
 
-from geoorbit_ros.fleet.allocator import FreeMemory
+from geoorbit_ros.nodes.support.fleet_process import FreeMemory
 
 # Ten thousand blocks of 10 kB, of which each hundredth stays: the heap's end is never free.
 PROGRAM = """
 from pathlib import Path
-from geoorbit_ros.fleet.allocator import FreeMemory
+from geoorbit_ros.nodes.support.fleet_process import FreeMemory
 
 def resident_mb():
     return int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 1e6
