@@ -1,7 +1,7 @@
 """Lane maps as Lanelet2 maps in OSM XML: one lanelet per lane, with its boundaries as ways.
 
-Tags follow Lanelet2's documentation (LaneletAndAreaTagging.md). Lanelets of neighbouring lanes
-don't share a boundary: each keeps the one that was measured.
+Tags follow Lanelet2's documentation (LaneletAndAreaTagging.md). Neighbouring lanelets don't share
+a boundary: each keeps its measured one.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from geoorbit_ros.exchange.provenance import file_facts, lane_facts
 from geoorbit_ros.lanes.geojson import LaneFile
 
 DECIMALS = 11
-"""Decimals of a degree: less than 0.01 mm."""
+"""Of degrees: steps of 1 micrometre. Chosen: fewer move points that lie close together."""
 
 
 def to_lanelet2(file: LaneFile) -> str:
-    """The map as the text of an `.osm` file."""
+    """A lane map as the text of an `.osm` file."""
     root = Xml.Element("osm", version="0.6", generator=file_facts(file)["geoorbit:generator"])
     ids = count(1)
     nodes: list[Xml.Element] = []
@@ -35,7 +35,7 @@ def to_lanelet2(file: LaneFile) -> str:
             node.set("lon", f"{longitude:.{DECIMALS}f}")
             nodes.append(node)
             Xml.SubElement(way, "nd", ref=node.attrib["id"])
-        _tag(way, {"type": "virtual"})  # the paint is not seen, only where vehicles drive
+        _tag(way, {"type": "virtual"})  # markings are not seen, only where vehicles drive
         ways.append(way)
         return way.attrib["id"]
 

@@ -1,8 +1,8 @@
 """Lane maps as OpenDRIVE 1.4: one road per lane, its reference line the lane's centreline.
 
-One road per lane keeps each lane's own ends, width and heading, which a road with many lanes could
-only tell through lane sections; simulators read both. Distances are metres in the plane of the
-map's datum, which the header names as a transverse Mercator projection.
+One road per lane keeps each lane's own ends, width and heading; a road with several lanes would
+need lane sections for that. Simulators read both (ADR 0027). Distances are metres in the plane of
+the map's datum, which the header states as a transverse Mercator projection.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ REVISION = ("1", "4")
 
 
 def to_opendrive(file: LaneFile) -> str:
-    """The map as the text of an `.xodr` file.
+    """A lane map as the text of an `.xodr` file.
 
     Args:
         file: Lanes in metres around the file's datum, with boundaries beside their centrelines.
@@ -78,7 +78,7 @@ def _add_road(root: Xml.Element, lane: Lane) -> None:
         Xml.SubElement(line, "line")
     left, right = _side_distances(lane)
     lanes = Xml.SubElement(road, "lanes")
-    # The only lane lies right of the reference line, so that line moves to the left boundary.
+    # The lane lies right of the reference line, which is moved to the left boundary for that.
     _add_polynomials(lanes, "laneOffset", "s", s, left)
     section = Xml.SubElement(lanes, "laneSection", s="0")
     centre = Xml.SubElement(section, "center")

@@ -1,4 +1,4 @@
-"""What every exported lane says about where it comes from and how sure it is."""
+"""Attributes of exported maps and lanes: where they come from, and how certain they are."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from geoorbit_ros.lanes.geojson import LaneFile
 
 
 def file_facts(file: LaneFile) -> dict[str, str]:
-    """Of the whole map, as text."""
+    """Attributes of the whole map, as text."""
     return {
         "geoorbit:generator": f"geoorbit {__version__}",
         "geoorbit:camera_id": file.camera_id,
@@ -18,7 +18,7 @@ def file_facts(file: LaneFile) -> dict[str, str]:
 
 
 def lane_facts(lane: Lane) -> dict[str, str]:
-    """Of one lane, as text; the names are those of `lanes.geojson`."""
+    """Attributes of one lane, as text, with the names of `lanes.geojson`."""
     return {
         "geoorbit:lane_id": str(lane.lane_id),
         "geoorbit:status": lane.status,

@@ -1,4 +1,4 @@
-"""Lane maps as SUMO networks: one edge per carriageway, made by SUMO's own netconvert."""
+"""Lane maps as SUMO networks: one edge per carriageway, made by SUMO's netconvert."""
 
 from __future__ import annotations
 
@@ -19,17 +19,22 @@ from geoorbit_ros.lanes.geojson import LaneFile
 from geoorbit_ros.roadnet.netconvert import netconvert
 
 MAX_GAP_M = 1.0
-"""Between the boundaries of neighbours."""
+"""Between the boundaries of neighbouring lanes. Chosen: larger joins lanes beside a reserve or a
+missing lane, smaller separates lanes of uncertain width."""
 MAX_TURN_RAD = np.radians(20.0)
+"""Between the directions of neighbouring lanes. Chosen: larger joins ramps to the road, smaller
+separates lanes in bends."""
 MIN_SHARE = 0.6
-"""Of the longer lane's length that lies beside the shorter one."""
+"""Of the longer lane's length, this share lies beside the shorter one. Chosen: larger separates
+lanes that are seen over different lengths, smaller makes edges whose lanes end far apart."""
 STEP_M = 2.0
-SPEED_M_S = 13.89
-"""50 km/h; a lane map knows no limits."""
+"""Between points at which lanes are compared. Chosen: smaller costs time."""
+SPEED_MPS = 13.89
+"""50 km/h for all lanes, because a lane map has no limits. Chosen: the usual limit in towns."""
 
 
 def carriageways(lanes: Sequence[Lane]) -> list[list[Lane]]:
-    """Groups of neighbouring lanes of one direction and about one length, right to left.
+    """Groups of neighbouring lanes of one direction and similar length, from right to left.
 
     Args:
         lanes: In the map frame.
@@ -51,7 +56,7 @@ def carriageways(lanes: Sequence[Lane]) -> list[list[Lane]]:
 
 
 def _neighbours(a: Lane, b: Lane) -> bool:
-    """Whether `b` lies directly left or right of `a`; asked both ways round."""
+    """Whether `b` lies directly left or right of `a`; asked in both orders."""
     points = sample(a.centerline_m, STEP_M)
     beside = project(points.point_m, b.centerline_m)
     if not beside.inside.any() or beside.inside.mean() < MIN_SHARE:
@@ -71,7 +76,7 @@ def _offset_m(lane: Lane, reference: Lane) -> float:
 
 
 def to_sumo(file: LaneFile) -> str:
-    """The map as the text of a `.net.xml` file.
+    """A lane map as the text of a `.net.xml` file.
 
     Raises:
         RoadNetworkError: SUMO is not installed, or netconvert refuses the lanes.
@@ -115,7 +120,7 @@ def _plain_xml(file: LaneFile) -> tuple[Xml.Element, Xml.Element]:
             "edge",
             {"id": name, "from": f"{name}_start", "to": f"{name}_end"},
             numLanes=str(len(group)),
-            speed=f"{SPEED_M_S}",
+            speed=f"{SPEED_MPS}",
             shape=_shape(reference_line),
             spreadType="center",
         )

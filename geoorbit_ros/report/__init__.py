@@ -1,1 +1,1 @@
-"""What was found, in words and on one HTML page."""
+"""Reports what was found: sentences, an HTML page, drawings on images."""

@@ -1,4 +1,4 @@
-"""What the system sees, drawn into the camera's image: vehicles, their trails, the lanes."""
+"""Draws vehicles, their trails, lanes and road segments into the camera's image."""
 
 from __future__ import annotations
 
@@ -24,13 +24,20 @@ from geoorbit_ros.report.text import compass
 Colour = tuple[int, int, int]
 
 TRAIL_FRAMES = 40
+"""Length of a trail. Chosen: longer covers the image in dense traffic."""
 TRAIL_MAX_AGE_FRAMES = 10
-"""Trails of vehicles that have not been seen for this long are dropped."""
+"""Trails of vehicles that have not been seen for this long are removed. Chosen: a short gap in a
+track does not cut its trail."""
 MIN_LABEL_PX = 20.0
-"""Lower boxes, at 720 lines, have no label: far away it would be longer than the vehicle."""
+"""Lower boxes have no label, in an image of 720 lines. Chosen: the label would be longer than the
+vehicle."""
 LEAST_TEXT_SCALE = 0.85
-"""Text is drawn as for 720 lines, and smaller only down to this: below, nobody can read it."""
+"""Text is scaled with the image's height (1 at 720 lines), but not below this. Chosen: smaller text
+can't be read."""
 LANE_OPACITY = 0.35
+"""Of the lanes' colours over the image. Chosen: lanes and vehicles are both visible."""
+HEAT_SHARE = 0.55
+"""Of the hottest colour over the image. Chosen: the road below stays visible."""
 _DIRECTIONS: tuple[Colour, ...] = (
     (230, 170, 60),
     (70, 160, 250),
@@ -39,16 +46,17 @@ _DIRECTIONS: tuple[Colour, ...] = (
     (80, 220, 230),
     (150, 150, 250),
 )
-"""Blue, green, red of the lanes, by direction of travel."""
-_WHITE, _GREY = (255, 255, 255), (170, 170, 170)
+"""Colours of the lanes by direction of travel, as blue, green, red."""
+_WHITE, _GREY, _DARK = (255, 255, 255), (170, 170, 170), (60, 30, 20)
+"""Outlines and captions, predicted boxes, and the rim of road segments."""
 _NAMES = {2: "car", 3: "motorcycle", 5: "bus", 7: "truck"}
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _SHIFT = 4
-"""OpenCV takes pixels as whole numbers of 1/16."""
+"""OpenCV takes coordinates as whole numbers of 1/16 pixel."""
 
 
 class ImageOverlay:
-    """Draws frame after frame of one camera.
+    """Draws into the images of one camera, one after the other.
 
     Args:
         homography: The road plane; None: lanes are not drawn.
@@ -105,7 +113,7 @@ class ImageOverlay:
         return drawn
 
     def _remember(self, tracks: NDArray[np.void]) -> None:
-        """Append the middle of each box's lower edge to its trail; forget vehicles long gone."""
+        """Append the middle of each box's lower edge to its trail; remove old trails."""
         for row in tracks:
             if not row["flags"] & FLAG_PREDICTED:
                 key = int(row["track_id"])
@@ -117,7 +125,7 @@ class ImageOverlay:
             del self._seen[key], self._trails[key]
 
     def _with_lanes(self, image: Image, lane_map: LaneMap | None, scale: float) -> Image:
-        """A copy of the image, the road's lanes brightened in the colour of their direction."""
+        """A copy of the image with the lanes in the colour of their direction."""
         if lane_map is None or not lane_map.lanes or self._homography is None:
             return image.copy()
         if self._layer is None or self._lanes_of is not lane_map:
@@ -196,12 +204,6 @@ def _fixed(points: NDArray[np.float64]) -> NDArray[np.int32]:
     return np.asarray(np.rint(points * 2**_SHIFT), np.int32).reshape(-1, 1, 2)
 
 
-HEAT_SHARE = 0.55
-"""How much of the hottest colour covers the image."""
-OUTLINE = (255, 255, 255)
-EDGE = (60, 30, 20)
-
-
 def draw_segments(image: Image, segments: RoadSegments) -> Image:
     """The image with the heat map of detections over it and the road segments outlined."""
     size = (image.shape[1], image.shape[0])
@@ -212,7 +214,7 @@ def draw_segments(image: Image, segments: RoadSegments) -> Image:
     share = (HEAT_SHARE * np.sqrt(level))[..., None]
     drawn = (image * (1.0 - share) + heat * share).astype(np.uint8)
     outlines = [np.rint(contour).astype(np.int32)[:, None] for contour in segments.contours]
-    for colour, width in ((EDGE, 5), (OUTLINE, 2)):
+    for colour, width in ((_DARK, 5), (_WHITE, 2)):
         cv2.polylines(drawn, outlines, True, colour, width, cv2.LINE_AA)
     return np.asarray(drawn, dtype=np.uint8)
 

@@ -1,4 +1,4 @@
-"""Text in pictures that can be read on any ground. OpenCV's font has ASCII only."""
+"""Text in images that can be read on any background. OpenCV's font has ASCII only."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _BLACK = (0, 0, 0)
+"""Of the rim."""
 
 
 def write_text(
@@ -22,8 +23,8 @@ def write_text(
 ) -> None:
     """Draw `text` with a black rim, its lower left corner `at`, into `image`.
 
-    The rim is the same text beside itself: since OpenCV 5 thicker letters are also wider, so that a
-    thick black text would not lie behind a thin coloured one.
+    The rim is the same text drawn around: since OpenCV 5 thicker letters are also wider, so a thick
+    black text would not lie behind a thin coloured one.
     """
     step = max(round(size), 1)
     for dx, dy in itertools.product((-step, 0, step), repeat=2):

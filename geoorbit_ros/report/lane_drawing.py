@@ -1,4 +1,4 @@
-"""Lanes, directions and vehicle paths drawn through any mapping from metres to pixels."""
+"""Draws lanes, directions and vehicle paths, through any mapping from metres to pixels."""
 
 from __future__ import annotations
 
@@ -12,14 +12,17 @@ from geoorbit_ros.report.svg import Canvas
 from geoorbit_ros.report.text import compass, number
 
 ToPixel = Callable[[NDArray[np.float64]], NDArray[np.float64]]
-"""(N, 2) metres in the map frame to (N, 2) pixels of the picture; NaN where not in view."""
+"""(N, 2) metres in the map frame to (N, 2) pixels of the drawing; NaN where not in view."""
 
 MAX_PATHS = 500
-"""More than this many vehicle paths make a page heavy and a picture black."""
+"""Vehicle paths that are drawn. Chosen: more make the page large and the drawing black."""
 DIRECTION_GAP_DEG = 60.0
-"""Lanes whose travel directions differ by less have one colour."""
+"""Lanes whose directions differ by less share a colour. Chosen: larger joins the arms of a
+junction, smaller splits a bend."""
 COLOURS = 6
+"""In `page.css`, `d0` to `d5`."""
 CHEVRON_EVERY_PX = 110.0
+"""Between travel arrows. Layout of the drawing."""
 
 
 def direction_groups(lanes: Sequence[Lane]) -> dict[int, int]:
@@ -74,9 +77,9 @@ def draw_lanes(
     Args:
         canvas: Where to draw.
         lanes: Lanes in the map frame.
-        to_pixel: Map frame to picture.
+        to_pixel: Map frame to drawing.
         colour: Colour number by lane id.
-        inside: Which (N, 2) pixels lie in the picture, for placing numbers.
+        inside: Which (N, 2) pixels lie in the drawing, for placing numbers.
     """
     for lane in lanes:
         css = f"d{colour[lane.lane_id]} {lane.status}"

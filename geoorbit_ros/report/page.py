@@ -1,4 +1,4 @@
-"""The report: one HTML page that needs nothing else, readable by a traffic engineer."""
+"""The lane report: one HTML page without other files, for a traffic engineer."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class ReportInput:
         recording: The vehicles' ground tracks.
         homography: The camera's calibration.
         image_size: (width, height) in pixels.
-        provenance: Names and values that say how the map was made.
+        provenance: Names and values: how the map was made.
         truth: True lanes, when known.
     """
 
@@ -66,7 +66,7 @@ def report_html(content: ReportInput) -> str:
         f"<header><p class='kicker'>Lane report</p><h1>{escape(title)}</h1>"
         f"<p class='lead'>{escape(summary_sentence(lanes))}</p>{_tiles(content)}</header>",
         _section("Lanes", lane_table(lanes) + _list(tentative)),
-        _pictures(content),
+        _drawings(content),
         _histograms(content),
     ]
     if content.truth is not None:
@@ -101,12 +101,12 @@ def _tiles(content: ReportInput) -> str:
     )
 
 
-def _pictures(content: ReportInput) -> str:
+def _drawings(content: ReportInput) -> str:
     lane_map = content.lane_map
     if not lane_map.lanes:
         return ""
     paths = content.recording.paths()
-    picture, frame, drawn = map_view(lane_map, paths, content.truth or ())
+    drawing, frame, drawn = map_view(lane_map, paths, content.truth or ())
     caption = [
         f"{drawn} of {count(len(paths), 'vehicle path')}, coloured by direction of travel. "
         "Filled lanes are confirmed, dashed ones tentative; arrows show the direction of travel.",
@@ -122,7 +122,7 @@ def _pictures(content: ReportInput) -> str:
     sees = ""
     if near_far:
         sees = f"Lanes are seen from {near_far[0]:.0f} to {near_far[1]:.0f} m from the camera. "
-    return _section("Map", _figure(picture.markup(), " ".join(caption), "map")) + _section(
+    return _section("Map", _figure(drawing.markup(), " ".join(caption), "map")) + _section(
         "The camera's view",
         _figure(
             camera.markup(),
@@ -144,8 +144,8 @@ def _histograms(content: ReportInput) -> str:
         for s in sections
     ]
     note = (
-        "<p>Where across the road the vehicles drive, one picture per direction of travel. "
-        "Upright lines are the peaks taken for lanes, with the distance to their neighbour.</p>"
+        "<p>Where across the road the vehicles drive, one drawing per direction of travel. "
+        "Vertical lines are the peaks that became lanes, with the distance to the next one.</p>"
     )
     return _section("Across the road", note + "".join(figures))
 

@@ -1,4 +1,4 @@
-"""What a page shows: the vehicles' paths, thinned for drawing, and where everything came from."""
+"""Collects the vehicles' paths for the report, and the files, parameters and versions used."""
 
 from __future__ import annotations
 
@@ -17,18 +17,22 @@ from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.core.tables import FLAG_TRUNCATED, TRACK_DTYPE
 
 MIN_STEP_M = 2.0
-"""Points of a path closer than this add ink, not shape."""
+"""Between points of a drawn path. Chosen: nearer points don't change its shape, but make the page
+larger."""
 MAX_GAP_S = 1.0
-"""A longer pause starts a new path: the tracker may have reused the id."""
+"""A longer pause starts a new path. Chosen: the tracker may have used the id again; smaller cuts
+paths at short gaps."""
 MAX_JUMP_M = 15.0
-"""A longer step between two frames starts a new path: the id jumped to another vehicle."""
+"""A longer step between two frames starts a new path, because the id jumped to another vehicle.
+Chosen: larger draws jumps, smaller cuts paths of fast vehicles where frames are missing."""
 MIN_PATH_M = 8.0
-"""Shorter paths are jitter."""
+"""Shorter paths are not drawn. Chosen: two car lengths; shorter ones are mostly noise of standing
+vehicles."""
 
 
 @dataclass(slots=True)
 class Recording:
-    """Ground tracks kept for drawing while they pass by on their way to the mapper."""
+    """Keeps ground tracks for drawing while they are passed on to the mapper."""
 
     frame_count: int = 0
     first_ns: int = 0
@@ -91,7 +95,7 @@ def _thinned(xy: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.vstack((xy[keep], xy[-1:]))
 
 
-_PACKAGES = ("numpy", "scipy", "pyproj")
+_PACKAGES = ("scipy", "pyproj")
 
 
 def provenance(
@@ -131,7 +135,7 @@ def sha256(path: Path) -> str:
 
 def _versions() -> str:
     found = []
-    for name in _PACKAGES[1:]:
+    for name in _PACKAGES:
         try:
             found.append(f"{name} {version(name)}")
         except PackageNotFoundError:  # a distribution's package without metadata

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 
 class Canvas:
-    """A picture of `width` by `height` pixels that fills its column.
+    """A drawing of `width` by `height` pixels that fills its column.
 
     Args:
         width: Pixels.
         height: Pixels.
-        title: What the picture shows, for screen readers.
+        title: What the drawing shows, for screen readers.
     """
 
     def __init__(self, width: float, height: float, title: str) -> None:
@@ -75,7 +75,7 @@ class Canvas:
         self._parts.append("</g>")
 
     def markup(self) -> str:
-        """The whole picture."""
+        """The whole drawing."""
         return (
             f'<svg viewBox="0 0 {self.width:.0f} {self.height:.0f}" role="img">'
             f"<title>{escape(self.title)}</title>{''.join(self._parts)}</svg>"

@@ -1,4 +1,4 @@
-"""Lanes and scores in plain sentences, the same on the terminal and on the page."""
+"""Sentences about lanes and scores, for the terminal and the report page."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def compass(heading_deg: float) -> str:
 
 
 def number(value: float, decimals: int = 2, *, signed: bool = False) -> str:
-    """A rounded number, a dash when it is not known."""
+    """A rounded number; a dash where it is not known."""
     if not math.isfinite(value):
         return "–"
     rounded = round(value, decimals) + 0.0  # no "-0.00"
@@ -52,7 +52,7 @@ def missing_sentence(lane: Lane) -> str:
 
 
 def score_sentences(score: LaneScore) -> list[str]:
-    """Counts, errors and everything that is wrong, one sentence each."""
+    """Counts, errors and faults, one sentence each."""
     lines = [
         f"{len(score.matched)} of {count(len(score.lanes), 'lane')} found, "
         f"{len(score.confirmed)} of them confirmed; {len(score.invented)} invented, "

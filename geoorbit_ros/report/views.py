@@ -1,4 +1,4 @@
-"""The three drawings of the page: the camera's image, the road from above, lateral histograms."""
+"""The drawings of the page: the camera's view, the map, histograms across the road."""
 
 from __future__ import annotations
 
@@ -19,7 +19,23 @@ from geoorbit_ros.report.lane_drawing import (
 from geoorbit_ros.report.svg import Canvas, nice_step
 from geoorbit_ros.report.text import compass
 
-IMAGE_WIDTH_PX = 1040.0
+IMAGE_WIDTH_PX = MAP_WIDTH_PX = SECTION_WIDTH_PX = 1040.0
+"""Width of all drawings. Layout of the page."""
+MIN_HEIGHT_PX, MAX_HEIGHT_PX, SECTION_HEIGHT_PX = 260.0, 760.0, 220.0
+"""Of the map and of a histogram. Layout of the page."""
+MAX_STRETCH = 4
+"""A long road is drawn at most so many times wider across than along. Chosen: more makes lanes look
+like squares."""
+FOOT_PX = 32.0
+"""Room below the road for the scale bar. Layout of the page."""
+ELONGATED = 1.6
+"""A road this much longer than wide is turned to lie along the page; others keep north up. Chosen:
+smaller turns junctions, too."""
+_LEFT, _RIGHT, _TOP, _BOTTOM = 48.0, 16.0, 26.0, 40.0
+"""Margins of a histogram. Layout of the page."""
+_EMPTY = 0.01
+"""Bins below this share of the highest one count as empty road and are not drawn. Chosen: larger
+cuts off lanes with little traffic."""
 
 
 def image_view(
@@ -71,24 +87,15 @@ def _horizon(
         canvas.text(size[0] - 10, v[1] * scale - 6, "horizon", "label", "end")
 
 
-MAP_WIDTH_PX = 1040.0
-MIN_HEIGHT_PX, MAX_HEIGHT_PX = 260.0, 760.0
-MAX_STRETCH = 4
-FOOT_PX = 32.0
-"""Room below the road for the scale bar."""
-ELONGATED = 1.6
-"""A road this much longer than wide is turned to lie along the page; others keep north up."""
-
-
 @dataclass(frozen=True, slots=True)
 class MapFrame:
-    """From map metres to pixels of the picture.
+    """From map metres to pixels of the drawing.
 
     Attributes:
         turn: (2, 2) rotation that brings the road level.
-        middle_m: (2,) middle of the picture, in turned metres.
+        middle_m: (2,) middle of the drawing, in turned metres.
         scale: (2,) pixels per metre along and across the page.
-        size_px: (width, height) of the picture.
+        size_px: (width, height) of the drawing.
     """
 
     turn: NDArray[np.float64]
@@ -102,7 +109,7 @@ class MapFrame:
         return np.asarray(flat + np.array(self.size_px) / 2)
 
     def inside(self, pixel: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Which (N, 2) pixels lie in the picture, a margin away from its border."""
+        """Which (N, 2) pixels lie in the drawing, a margin away from its border."""
         return np.asarray(np.all((pixel > 14) & (pixel < np.array(self.size_px) - 14), axis=1))
 
     @property
@@ -139,7 +146,7 @@ def map_view(
     """Draw the map.
 
     Returns:
-        The picture, its frame, and how many vehicle paths it shows.
+        The drawing, its frame, and how many vehicle paths it shows.
     """
     lines = [x for lane in lane_map.lanes for x in (lane.left_m, lane.right_m)]
     lines += [lane.centerline_m for lane in truth]
@@ -178,12 +185,6 @@ def _north(canvas: Canvas, frame: MapFrame) -> None:
     canvas.area(np.stack((tip, tail + 6 * side, middle - 6 * north, tail - 6 * side)), "north")
     at = middle + 24 * north
     canvas.text(at[0], at[1] + 4, "N", "label", "middle")
-
-
-SECTION_WIDTH_PX, SECTION_HEIGHT_PX = 1040.0, 220.0
-_LEFT, _RIGHT, _TOP, _BOTTOM = 48.0, 16.0, 26.0, 40.0
-_EMPTY = 0.01
-"""Bins below this share of the highest one are empty road, not worth drawing."""
 
 
 def section_view(section: CrossSection, lane_map: LaneMap) -> Canvas:

@@ -1,1 +1,1 @@
-"""What viewers see: the graph's messages over Foxglove's WebSocket protocol."""
+"""Sends the graph's messages to viewers over Foxglove's WebSocket protocol."""

@@ -1,4 +1,4 @@
-"""Channels that show a topic in another form: boxes over the image, lanes on a map."""
+"""Channels that show a topic in a form viewers can draw: boxes over the image, lanes on a map."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from geoorbit_ros.conversions import decode_string, decode_table
 from geoorbit_ros.core.tables import FLAG_PREDICTED, PIXEL_TRACK_DTYPE
 
 GOLDEN = 0.618034
-"""Successive ids get hues far apart (golden ratio)."""
-THICKNESS_PX = 2.0
-FONT_PX = 14.0
+"""Step of the hue from id to id: the golden ratio keeps successive ids far apart."""
+THICKNESS_PX, FONT_PX = 2.0, 14.0
+"""Of boxes and labels. Layout of the image."""
 
 
 def box_annotations(stamp_ns: int, rows: NDArray[np.void]) -> ImageAnnotations:
@@ -67,20 +67,20 @@ def box_annotations(stamp_ns: int, rows: NDArray[np.void]) -> ImageAnnotations:
 
 
 def track_colour(track_id: int) -> Color:
-    """The same colour for the same id, in every viewer."""
+    """The colour of a track: the same id has the same colour in all viewers."""
     r, g, b = hsv_to_rgb(track_id * GOLDEN % 1.0, 0.7, 1.0)
     return Color(r=r, g=g, b=b, a=1.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Derived:
-    """One such channel.
+    """A channel made from another topic.
 
     Attributes:
-        topic: Its name.
+        topic: Name of the channel.
         send: Takes a serialised message of the topic it comes from, and the time in nanoseconds;
             raises MessageError for one that can't be used.
-        close: Withdraws it.
+        close: Removes it.
     """
 
     topic: str
@@ -89,7 +89,7 @@ class Derived:
 
 
 def derive(topic: str, context: foxglove.Context) -> Derived | None:
-    """The further channel of a topic; None for most."""
+    """The derived channel of a topic; None for most topics."""
     camera, _, name = topic.removeprefix("/").partition("/")
     if name == "tracks_px":
         return _boxes(topic, f"/{camera}/image/annotations", context)

@@ -1,11 +1,12 @@
-"""Layouts for Foxglove-compatible viewers: one column per camera, the fleet's health below."""
+"""Layouts for Foxglove-compatible viewers: one column per camera, diagnostics below."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 MAX_COLUMNS = 3
-"""More cameras than this are not legible side by side; they can be chosen in the panels."""
+"""Cameras with a column. Chosen: more can't be read side by side; the others can be chosen in the
+panels."""
 
 IMAGE, ANNOTATIONS, LANE_MAP = "image/compressed", "image/annotations", "lanes/map"
 SCENE_TOPICS = ("lanes/markers", "lanes", "vehicles", "tracks")
@@ -27,7 +28,7 @@ def make_layout(cameras: Sequence[str]) -> dict[str, object]:
         cameras: Camera ids; the first `MAX_COLUMNS` get a column.
     """
     panels: dict[str, object] = {
-        "DiagnosticSummary!fleet": {"topicToRender": DIAGNOSTICS, "minLevel": 0},
+        "DiagnosticSummary!health": {"topicToRender": DIAGNOSTICS, "minLevel": 0},
     }
     columns: list[object] = []
     for camera in cameras[:MAX_COLUMNS]:
@@ -56,7 +57,7 @@ def make_layout(cameras: Sequence[str]) -> dict[str, object]:
         "globalVariables": {},
         "userNodes": {},
         "playbackConfig": {"speed": 1},
-        "layout": _split("column", [_split("row", columns), "DiagnosticSummary!fleet"], 80),
+        "layout": _split("column", [_split("row", columns), "DiagnosticSummary!health"], 80),
     }
 
 

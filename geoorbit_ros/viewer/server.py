@@ -17,9 +17,13 @@ from rosbags.typesys.store import Typestore
 from geoorbit_ros.core.errors import GeoOrbitError, MessageError
 from geoorbit_ros.viewer.derived import Derived, derive
 
+BACKLOG = 256
+"""Messages kept for a viewer that is behind; the oldest are dropped. Chosen: larger needs more
+memory and shows older messages, smaller drops some of a slow viewer's."""
 
-class Demand(ServerListener):
-    """Counts the viewers of each channel; the server calls it from threads of its own."""
+
+class Subscriptions(ServerListener):
+    """Keeps the viewers of each channel; the server calls it from its own threads."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -27,13 +31,13 @@ class Demand(ServerListener):
         self._new: set[str] = set()
 
     def on_subscribe(self, client: Client, channel: ChannelView) -> None:
-        """A viewer begins to look at a channel."""
+        """A viewer subscribes to a channel."""
         with self._lock:
             self._viewers.setdefault(channel.topic, set()).add(client.id)
             self._new.add(channel.topic)
 
     def on_unsubscribe(self, client: Client, channel: ChannelView) -> None:
-        """A viewer looks at a channel no longer, or is gone."""
+        """A viewer unsubscribes from a channel, or is gone."""
         with self._lock:
             self._viewers.get(channel.topic, set()).discard(client.id)
 
@@ -43,14 +47,10 @@ class Demand(ServerListener):
             return frozenset(topic for topic, viewers in self._viewers.items() if viewers)
 
     def take_new(self) -> frozenset[str]:
-        """Channels that a viewer began to look at since the last call."""
+        """Channels with a new viewer since the last call."""
         with self._lock:
             new, self._new = frozenset(self._new), set()
             return new
-
-
-BACKLOG = 256
-"""Messages kept for one viewer that is behind; the oldest are dropped first."""
 
 
 class ViewerError(GeoOrbitError):
@@ -58,7 +58,7 @@ class ViewerError(GeoOrbitError):
 
 
 class ViewerServer:
-    """One channel per topic, and a further one where a topic can be shown better in another form.
+    """One channel per topic, and a derived one where viewers can't draw the topic itself.
 
     Args:
         name: Shown by viewers.
@@ -77,7 +77,7 @@ class ViewerServer:
         self._channels: dict[str, foxglove.Channel] = {}
         self._derived: dict[str, Derived] = {}
         self._kept: dict[str, bytes] = {}
-        self._demand = Demand()
+        self._subscriptions = Subscriptions()
         self._new: frozenset[str] = frozenset()
         try:
             self._server = foxglove.start_server(
@@ -85,7 +85,7 @@ class ViewerServer:
                 host=host,
                 port=port,
                 context=self._context,
-                server_listener=self._demand,
+                server_listener=self._subscriptions,
                 message_backlog_size=BACKLOG,
             )
         except (RuntimeError, OSError) as error:
@@ -95,16 +95,16 @@ class ViewerServer:
 
     @property
     def topics(self) -> frozenset[str]:
-        """Offered topics, without the further channels."""
+        """Offered topics, without the derived channels."""
         return frozenset(self._channels)
 
     def wanted(self) -> frozenset[str]:
-        """Offered topics that a viewer looks at, in whatever form."""
-        seen = self._demand.topics()
+        """Offered topics with a viewer, of the topic itself or its derived channel."""
+        seen = self._subscriptions.topics()
         return frozenset(topic for topic in self._channels if seen & self._forms(topic))
 
     def offer(self, topic: str, type_name: str) -> None:
-        """Offer a topic to viewers; once more changes nothing.
+        """Offer a topic to viewers; offering it again changes nothing.
 
         Args:
             topic: Full name.
@@ -133,16 +133,16 @@ class ViewerServer:
             self._derived.pop(topic).close()
 
     def send(self, topic: str, cdr: bytes, time_ns: int, *, keep: bool = False) -> None:
-        """Send a serialised message to all who look at an offered topic.
+        """Send a serialised message to all viewers of an offered topic.
 
         Args:
             topic: The topic.
             cdr: The message.
             time_ns: When it came: viewers align their panels by it.
-            keep: Whether whoever looks later gets it, too (a latched topic).
+            keep: Whether later viewers get it, too (a latched topic).
 
         Raises:
-            MessageError: It can't be shown in the topic's other form.
+            MessageError: The derived channel can't show it.
         """
         if keep:
             self._kept[topic] = cdr
@@ -151,15 +151,15 @@ class ViewerServer:
             self._derived[topic].send(cdr, time_ns)
 
     def send_kept(self, time_ns: int) -> None:
-        """Send the kept messages of topics that a viewer has just begun to look at.
+        """Send the kept messages of topics with a new viewer; to be called regularly.
 
-        To be called now and then. Each goes out at two calls: the server tells of a viewer a moment
-        before that viewer is sent anything.
+        Each message is sent in two successive calls, because the server reports a viewer a moment
+        before it can receive.
 
         Raises:
             MessageError: As `send`.
         """
-        before, self._new = self._new, self._demand.take_new()
+        before, self._new = self._new, self._subscriptions.take_new()
         for topic, cdr in list(self._kept.items()):
             if (self._new | before) & self._forms(topic):
                 self.send(topic, cdr, time_ns)
@@ -179,7 +179,7 @@ class ViewerServer:
 
 @lru_cache
 def message_definition(type_name: str) -> str:
-    """The `.msg` text of a type and of all types in it, as bags and viewers want it.
+    """The `.msg` text of a type and of all types in it, as bags and viewers need it.
 
     Raises:
         MessageError: Not a message of ROS 2 Jazzy's common interfaces.

@@ -38,7 +38,7 @@ def test_lanes_lie_where_they_are_driven_and_keep_their_numbers(network: RoadNet
     assert moved.lane_id == network.lane_id
     assert moved.successors == network.successors
     assert beside(network, moved, "east_0") == pytest.approx(0.2, abs=1e-6)
-    assert beside(network, moved, "east_1") == pytest.approx(0.6, abs=1e-6)  # nobody saw it
+    assert beside(network, moved, "east_1") == pytest.approx(0.6, abs=1e-6)  # no camera saw it
     assert beside(network, moved, "east_2") == pytest.approx(1.0, abs=1e-6)
     assert moved.width_m[network.number["east_2"]] == 3.9
     for name in ("west_0", "west_1", "bend_2", "ramp_0"):

@@ -121,7 +121,7 @@ def test_the_page_is_well_formed_and_needs_nothing_else(page: str) -> None:
     assert not re.search(r"@import|url\((?!#)", page)
 
 
-def test_every_lane_is_in_the_table_and_in_both_pictures(page: str) -> None:
+def test_every_lane_is_in_the_table_and_in_both_drawings(page: str) -> None:
     for lane_id in (3, 12, 40):
         assert f'">{lane_id}</span>' in page
         assert page.count(f'text-anchor="middle">{lane_id}</text>') == 2

@@ -142,23 +142,23 @@ class FakeServer:
 
 def test_actors_come_move_and_go_with_the_twins_vehicles() -> None:
     server = FakeServer()
-    fleet = CarlaVehicles(server)
-    fleet.update(rows([(1, 10.0, 5.0), (2, 200.0, 5.0)]), ORIGIN)
-    assert list(fleet.actors) == [1]
-    assert fleet.refused == 1
-    fleet.update(rows([(1, 12.0, 5.0), (2, 90.0, 5.0)], heading_rad=0.5), np.array([1.0, 2.0]))
-    first = server.actors[fleet.actors[1]]
+    vehicles = CarlaVehicles(server)
+    vehicles.update(rows([(1, 10.0, 5.0), (2, 200.0, 5.0)]), ORIGIN)
+    assert list(vehicles.actors) == [1]
+    assert vehicles.refused == 1
+    vehicles.update(rows([(1, 12.0, 5.0), (2, 90.0, 5.0)], heading_rad=0.5), np.array([1.0, 2.0]))
+    first = server.actors[vehicles.actors[1]]
     assert (first.x, first.y) == (13.0, -7.0)
     assert first.yaw_deg == pytest.approx(-np.degrees(0.5))
-    assert set(fleet.actors) == {1, 2}
-    fleet.update(rows([(2, 92.0, 5.0)]), ORIGIN)
-    assert set(server.actors) == {fleet.actors[2]}
+    assert set(vehicles.actors) == {1, 2}
+    vehicles.update(rows([(2, 92.0, 5.0)]), ORIGIN)
+    assert set(server.actors) == {vehicles.actors[2]}
     assert server.ticks == 3
-    fleet.close()
+    vehicles.close()
     assert not server.actors
 
 
-def test_a_picture_is_blue_green_red() -> None:
+def test_an_image_is_blue_green_red() -> None:
     raw = np.arange(2 * 3 * 4, dtype=np.uint8)
     image = pixels_of(raw.tobytes(), 3, 2)
     assert image.shape == (2, 3, 3)

@@ -46,7 +46,7 @@ class Seen:
         self.traffic = ObservedTraffic(network, 600.0)
         twin = Synchronizer(network, _OnLanes(network), ["c"], 0.1, 0.0, self.traffic.add)
         random = np.random.default_rng(3)
-        # Per lane, and nobody nearer than a second to the one before.
+        # Per lane, and never nearer than a second to the one before.
         gaps = 1.0 + random.exponential(2.0 * 3600.0 / FLOW_PER_H - 1.0, (2, 200))
         times, lanes = np.cumsum(gaps, axis=1).ravel() - 40.0, np.repeat([0, 1], 200)
         y = [float(network.line(network.number[f"first_{k}"])[0, 1]) for k in range(2)]

@@ -51,7 +51,7 @@ def test_the_direction_decides_between_carriageways(network: RoadNetwork) -> Non
     assert set(drive(network, straight(1.0)[::-1])) == {"west_1"}
 
 
-def test_nobody_drives_along_a_lane_backwards(network: RoadNetwork) -> None:
+def test_no_vehicle_drives_along_a_lane_backwards(network: RoadNetwork) -> None:
     assert set(drive(network, straight(-5.25)[::-1])) == {""}
 
 

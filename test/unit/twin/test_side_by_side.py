@@ -109,13 +109,13 @@ def test_the_difference_counts_and_measures() -> None:
     assert (nothing.matched, nothing.twin_only) == (0, 2)
 
 
-def test_one_picture_has_all_three() -> None:
+def test_one_image_has_all_three() -> None:
     rendered = np.full((60, 100, 3), 120, np.uint8)
     boxes = np.array([(20.0, 30.0, 40.0, 50.0)])
-    picture, found = side_by_side(None, boxes, rendered, boxes + 1.0, 0.5)
-    assert picture.shape == (60, 300, 3)
+    shown, found = side_by_side(None, boxes, rendered, boxes + 1.0, 0.5)
+    assert shown.shape == (60, 300, 3)
     assert found.matched == 1
     image = np.full((120, 200, 3), 200, np.uint8)
-    picture, _ = side_by_side(image, boxes, rendered, boxes, 0.5)
-    assert picture[5, 90].tolist() == [200, 200, 200]
-    assert picture[55, 150].tolist() == [120, 120, 120]
+    shown, _ = side_by_side(image, boxes, rendered, boxes, 0.5)
+    assert shown[5, 90].tolist() == [200, 200, 200]
+    assert shown[55, 150].tolist() == [120, 120, 120]

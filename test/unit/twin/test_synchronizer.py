@@ -338,7 +338,7 @@ def test_a_course_is_what_a_vehicle_can_drive() -> None:
     lane = np.array([0.0, 0.0, 0.0, np.pi, np.nan])
     course = np.degrees(plausible_course(heading, speed, lane))
     assert course[0] == 0.0
-    assert 5.0 < course[1] < 12.0  # at speed nobody turns across the lanes
+    assert 5.0 < course[1] < 12.0  # no fast vehicle turns across the lanes
     assert course[2] == pytest.approx(60.0)  # slowly anybody may
     assert abs((course[3] - 190.0 + 180.0) % 360.0 - 180.0) < 1.0  # 10 degrees off: nearly kept
     assert course[4] == pytest.approx(60.0)  # beside the network nothing is known

@@ -1,8 +1,8 @@
-"""Draws the picture of docs/scenes.md: four shipped scenes in four kinds of light and weather.
+"""Makes the image of docs/scenes.md: four shipped scenes in four kinds of light and weather.
 
-    .venv/bin/python docs/make_scene_pictures.py
+    .venv/bin/python docs/make_scene_images.py
 
-The same version of the code gives the same picture.
+The same version of the code gives the same image.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ def shot(name: str, conditions: Conditions, second: float, seed: int) -> NDArray
 
 
 def main() -> None:
-    """Write the picture."""
+    """Write the image."""
     a, b, c, d = (shot(*values) for values in SHOTS)
-    picture = np.vstack([np.hstack([a, b]), np.hstack([c, d])])
-    if not cv2.imwrite(str(PATH), picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY]):
+    image = np.vstack([np.hstack([a, b]), np.hstack([c, d])])
+    if not cv2.imwrite(str(PATH), image, [cv2.IMWRITE_JPEG_QUALITY, QUALITY]):
         raise OSError(f"{PATH} can't be written")
     print(f"{PATH}: {PATH.stat().st_size} bytes")
 

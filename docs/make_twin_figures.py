@@ -1,12 +1,13 @@
-"""Draws the pictures of docs/twin.md: a map with planted errors, before and after its patch.
+"""Draws the figures of docs/twin.md: a map with planted errors, before and after its patch.
 
-    .venv/bin/python docs/make_twin_pictures.py
+    .venv/bin/python docs/make_twin_figures.py
 
 A minute of the scene `straight_3x3` through its camera; its network is given four errors.
 """
 
 from __future__ import annotations
 
+import sys
 import tempfile
 from pathlib import Path
 
@@ -22,7 +23,9 @@ from geoorbit_ros.scenes.network import write_network
 from geoorbit_ros.scenes.roads import place_roads
 from geoorbit_ros.scenes.scene import load_scene
 from geoorbit_ros.scenes.simulate import simulate
-from scores.map_errors import Error, plant
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+from scores.map_errors import Error, plant  # benchmarks are not installed
 
 IMAGES = Path(__file__).parent / "images"
 SCENE, DURATION_S, SEED = "straight_3x3", 60.0, 1

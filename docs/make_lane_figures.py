@@ -1,7 +1,7 @@
 """Draws the pictures of README.md and docs/lanes.md from the shipped scenes.
 
     ./dev run scene list        # makes .venv, should it be missing
-    .venv/bin/python docs/make_pictures.py
+    .venv/bin/python docs/make_lane_figures.py
 
 Each picture shows what the estimator computes, by calling its own stages: nothing is drawn by hand.
 The same version of the code gives the same pictures.

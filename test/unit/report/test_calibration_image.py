@@ -1,4 +1,4 @@
-"""The picture of a calibration shows the points, which of them are bad, and how far one sees."""
+"""The drawing of a calibration shows the points, which of them are bad, and how far one sees."""
 
 import numpy as np
 import pytest
