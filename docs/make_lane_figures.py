@@ -1,10 +1,10 @@
-"""Draws the pictures of README.md and docs/lanes.md from the shipped scenes.
+"""Draws the figures of README.md and docs/lanes.md from the shipped scenes.
 
     ./dev run scene list        # makes .venv, should it be missing
     .venv/bin/python docs/make_lane_figures.py
 
-Each picture shows what the estimator computes, by calling its own stages: nothing is drawn by hand.
-The same version of the code gives the same pictures.
+Each figure shows what the estimator computes, by calling its own stages: nothing is drawn by hand.
+The same version of the code gives the same figures.
 """
 
 from __future__ import annotations
@@ -204,7 +204,7 @@ def draw_segments(camera: Camera) -> Figure:
     axes.legend(loc="lower right", bbox_to_anchor=(0.72, 0.0), markerscale=3)
     axes.set(xticks=[], yticks=[])
     axes.set_title(
-        "1. TrajectorySegments: tracks without stops, jumps and border boxes, condensed to nodes"
+        "1. Trajectory segments: tracks without stops, jumps and border boxes, condensed to nodes"
     )
     return figure
 
@@ -307,7 +307,7 @@ def save(figure: Figure, name: str) -> None:
 
 
 def main() -> int:
-    """Draw all pictures."""
+    """Draw all figures."""
     save(draw_hero(look_through("curve_250m")), "lanes-overview.png")
     ramp, city = look_through("off_ramp_diverge"), look_through("urban_turn")
     save(draw_segments(ramp), "lanes-1-segments.png")
