@@ -172,25 +172,14 @@ def fit_vehicles(
     uv, depth = corners(projection, first, axes)
     edge, with_position, with_size = edge_slopes(projection, uv, depth, axes, size_m)
 
-    half = side / 2
-    square = np.concatenate((side, side), axis=1) ** 2
-    white = EDGE_SIGMA_PX**2 + EDGE_SIGMA_RATIO**2 * square
-    variance = white + SHAPE_SIGMA_RATIO**2 * square
-    spread = with_size @ size_cov @ with_size.transpose(0, 2, 1)
-    spread.reshape(-1, 16)[:, ::5] += variance
-    spread[~shaped] += SIDES
-    weighted = with_position.transpose(0, 2, 1) @ np.linalg.inv(spread)
-    covariance = inverse_2x2(weighted @ with_position)
-    gain = covariance @ weighted
-
-    xy = first
+    size_error = with_size @ size_cov @ with_size.transpose(0, 2, 1)
+    gain, covariance, noise = _solution(side, with_position, size_error, shaped)
+    half, xy = side / 2, first
     measured = np.concatenate((centre - half, centre + half), axis=1)
     for step in range(STEPS):
         if step > 0:
             edge = edges(corners(projection, xy, axes)[0])
         xy = xy + (gain * (measured - edge)[:, None, :]).sum(axis=2)
-    noise = (gain * white[:, None, :]) @ gain.transpose(0, 2, 1)
-
     reached = xy @ projection[2, :2] + projection[2, 3]
     good = (ahead > 0) & (depth.min(axis=1) > 0) & (reached > 0)
     good &= np.isfinite(reached + covariance[:, 0, 0] + covariance[:, 1, 1])
@@ -199,6 +188,32 @@ def fit_vehicles(
     if not good.all():
         _blank(found)
     return found
+
+
+def _solution(
+    side: Array, with_position: Array, size_error: Array, shaped: NDArray[np.bool_]
+) -> tuple[Array, Array, Array]:
+    """Least squares of two unknowns from four edges.
+
+    Args:
+        side: (M, 2) width and height of the boxes, pixels.
+        with_position: (M, 4, 2) slopes of the edges with the position.
+        size_error: (M, 4, 4) covariance of the edges from the unknown size.
+        shaped: (M,) False where only the box's centre counts.
+
+    Returns:
+        (M, 2, 4) metres per pixel of each edge; (M, 2, 2) covariance of the position, of all errors
+        and of the frame-to-frame noise alone.
+    """
+    square = np.concatenate((side, side), axis=1) ** 2
+    white = EDGE_SIGMA_PX**2 + EDGE_SIGMA_RATIO**2 * square
+    spread = size_error.copy()
+    spread.reshape(-1, 16)[:, ::5] += white + SHAPE_SIGMA_RATIO**2 * square
+    spread[~shaped] += SIDES
+    weighted = with_position.transpose(0, 2, 1) @ np.linalg.inv(spread)
+    covariance = inverse_2x2(weighted @ with_position)
+    gain = covariance @ weighted
+    return gain, covariance, (gain * white[:, None, :]) @ gain.transpose(0, 2, 1)
 
 
 def _blank(fit: VehicleFit) -> None:

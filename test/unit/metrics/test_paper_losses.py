@@ -13,13 +13,16 @@ from test_score import lane, moved
 
 from geoorbit_ros.core.errors import ParameterError, TableError
 from geoorbit_ros.federated.rounds.traffic import bits_per_second
-from geoorbit_ros.metrics.lane_pairs import discrete_frechet, frechet_matrix, pair_lanes, resample
 from geoorbit_ros.metrics.paper_losses import (
     LaneLosses,
     LossWeights,
     center_loss,
+    discrete_frechet,
+    frechet_matrix,
     lane_losses,
     lane_number_loss,
+    pair_lanes,
+    resample,
     width_loss,
 )
 
