@@ -21,6 +21,7 @@ MAX_ITEMS = 1 << 16
 """Most items of one sequence of texts or numbers. Chosen: far more than any message here has, and
 so few that a damaged length can't make its reader allocate much."""
 SECOND_NS = 1_000_000_000
+"""Nanoseconds of a second."""
 
 _NUMBERS = {kind: struct.Struct(f"<{kind}") for kind in "bBhHiIqQfd"}
 _LITTLE_ENDIAN = ENCAPSULATION[:2]
@@ -194,7 +195,7 @@ class CdrReader:
     def end(self) -> None:
         """Nothing may follow."""
         if self.left:
-            self._too_long(f"{self.left} bytes after the last field", "none")
+            self._too_long(f"{self.left} bytes after the last field", f"the end of {self._kind}")
 
     def _string(self, length: int) -> str:
         at = self._at

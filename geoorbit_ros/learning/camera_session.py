@@ -28,6 +28,7 @@ from geoorbit_ros.learning.parameter_space import PARAMETER_NAMES
 INTERFACE = interface_digest(FEATURE_NAMES, PARAMETER_NAMES)
 """What both sides must agree on: the meta-learner's inputs and outputs."""
 SETTLE_S = 2.0
+"""Chosen: longer delays the first observation, shorter may use a map of which lanes are missing."""
 
 
 class CameraSession:

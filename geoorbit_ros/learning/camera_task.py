@@ -17,6 +17,7 @@ from geoorbit_ros.core.tables import TRACK_DTYPE, Frames
 from geoorbit_ros.storage.atomic import atomic_output
 
 VERSION = 1
+"""Of the file."""
 MIN_VEHICLES = 3
 """Lanes that fewer vehicles drove along need not be found, as in `metrics.score`."""
 

@@ -1,5 +1,6 @@
-"""Trains f of L_center on bundles of lanes drawn at random; no camera's data take part.
+"""Trains f of L_center on sets of lanes drawn at random; no camera's data take part.
 
+Run by hand only, when the embedding is to change; nothing in the package imports it.
 `python -m geoorbit_ros.learning.embedding_training FILE` writes the weights that the package ships.
 """
 
@@ -19,10 +20,15 @@ from geoorbit_ros.learning.lane_embedding import FEATURES, HIDDEN, LAYERS, POINT
 Array = NDArray[np.float64]
 
 SAMPLES = 64
+"""Points of a drawn lane. Chosen: more take time, fewer blur its ends."""
 BATCH = 256
+"""Triplets of a step. Chosen: more take time, fewer make the steps noisier."""
 STEPS = 4000
+"""Chosen: more take time, fewer end before the loss has settled."""
 MARGIN = 1.0
+"""Squared distance of neighbouring lanes: the unit of L_center, one lane spacing."""
 DECIMALS = 5
+"""Digits of the weights in the file. Chosen: more make it longer, fewer change the features."""
 
 
 class Network(nn.Module):

@@ -22,8 +22,11 @@ from geoorbit_ros.core.tables import FLAG_PREDICTED, FLAG_TRUNCATED, LARGE_CLASS
 Array = NDArray[np.float64]
 
 MIN_TRAVEL_M = 8.0
-"""Tracks that move less are parked, trembling, or seen too shortly to have a direction."""
+"""Tracks that move less are parked, jitter, or are seen too shortly to have a direction. Chosen:
+larger loses short tracks, smaller counts parked vehicles."""
 CLIP = 3.0
+"""Features are cut to this many scales. Chosen: larger lets one odd value dominate the hidden
+layer, smaller makes unusual scenes look alike."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +66,8 @@ FEATURES = (
     Feature("hour_cos", 0.0, 1.0, "cos of the time of day: +1 midnight, -1 noon"),
     Feature("hour_sin", 0.0, 1.0, "sin of the time of day: +1 at 6 h, -1 at 18 h"),
 )
+"""Centres and scales are chosen from physical ranges: others would change what a trained model's
+inputs mean, so they belong to the wire format."""
 FEATURE_NAMES = tuple(feature.name for feature in FEATURES)
 
 

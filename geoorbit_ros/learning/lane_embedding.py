@@ -16,9 +16,11 @@ from geoorbit_ros.core.resources import share_path
 Array = NDArray[np.float64]
 
 POINTS = 16
+"""Points of a centreline that the network sees; part of the shipped weights."""
 INPUT_SCALE_M = (50.0, 10.0)
 """Metres along and across the road that make one unit of input."""
 HIDDEN, FEATURES = 32, 8
+"""Sizes of the layers; part of the shipped weights."""
 LAYERS = ("hidden.weight", "hidden.bias", "output.weight", "output.bias")
 SHIPPED = "params/learning/lane_embedding.json"
 

@@ -15,11 +15,15 @@ from geoorbit_ros.metrics.paper_losses import LaneLosses
 Array = NDArray[np.float64]
 
 POPULATION, GENERATIONS = 16, 4
+"""80 runs with the first generation. Chosen: more take time, fewer miss good parameters (ADR
+`docs/adr/*-best-parameters-near-the-defaults.md`)."""
 NOTHING_FOUND = 50.0
-"""Cost of theta with which no lane is found, above any other's: saying nothing is no way to err
-less, though it often costs less than saying something wrong."""
+"""Cost of theta with which no lane is found, above any other's: an empty map must not
+win, though its losses are often lower than those of a wrong one. Chosen: 50 is
+ln(L_total + 1) of a total of 5e21, above that of any map."""
 STAY = 0.3
-"""Price of leaving the defaults, in ln(L_total) per squared length in the unit cube."""
+"""Price of leaving the defaults, in ln(L_total) per squared length in the unit cube. Chosen: larger
+holds theta* at the defaults, smaller lets theta* of similar cameras scatter (same ADR)."""
 LOSS_FLOOR = 1.0
 """Totals are compared as ln(total + floor): below it, differences are noise (a metre of Fréchet
 distance, one lane)."""

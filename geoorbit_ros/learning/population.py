@@ -29,6 +29,7 @@ from geoorbit_ros.storage.yaml_file import StrictModel, read_yaml
 Split = Literal["seen", "unseen"]
 
 DAY_S = 86400
+"""Seconds of a day."""
 MAX_RATE_HZ = 5.0
 """Frames per second that are kept: a vehicle's errors hardly change in a fifth of a second, and the
 search runs an estimator some ten thousand times."""

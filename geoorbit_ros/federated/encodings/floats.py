@@ -11,6 +11,7 @@ from geoorbit_ros.federated.encodings.encoding import check_finite, check_length
 from geoorbit_ros.federated.payloads.model_layout import Vector
 
 FLOAT16_MAX = 65504.0
+"""Largest finite number of IEEE 754 binary16."""
 
 
 @register("encoding", "float32")

@@ -14,6 +14,7 @@ from geoorbit_ros.federated.errors import PayloadError, Refusal
 from geoorbit_ros.federated.payloads.model_layout import Vector
 
 SCALE_BYTES = 4
+"""Length of the scale, a float32."""
 MAX_SCALE = float(np.finfo(np.float32).max)
 
 

@@ -22,6 +22,7 @@ from geoorbit_ros.federated.errors import FederationError, PayloadError, Refusal
 from geoorbit_ros.federated.payloads.model_layout import Vector
 
 MAX_PARAMETER = 24
+"""Largest Rice parameter: a gap is below `model_layout.MAX_SIZE`, 2^24."""
 
 
 def rice_parameter(gaps: NDArray[np.int64]) -> int:
@@ -65,7 +66,9 @@ def decode_indices(data: bytes, parameter: int, count: int, size: int) -> NDArra
 
 
 _EIGHT_BITS = 0x80
+"""Flag beside the Rice parameter, see msg_defs/README.md."""
 _LEVELS = {4: 7, 8: 127}
+"""Largest value by number of bits: that of a signed integer."""
 
 
 @register("encoding", "top_k")

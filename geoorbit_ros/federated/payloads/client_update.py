@@ -12,6 +12,7 @@ from geoorbit_ros.federated.errors import PayloadError, Refusal
 from geoorbit_ros.federated.payloads.header import SIGNATURE_BYTES, check_header, header_bytes
 
 SCHEMA, VERSION = "update", 3
+"""Those of msg_defs/ClientUpdate.msg."""
 _HEADER = header_bytes(SCHEMA, VERSION)
 _FIELDS = struct.Struct("<BBIIIIffI")
 _HEADER_BYTES = len(_HEADER) + _FIELDS.size

@@ -12,7 +12,9 @@ from geoorbit_ros.federated.payloads.header import PayloadReader, begin_payload
 from geoorbit_ros.federated.payloads.model_layout import ModelLayout
 
 SCHEMA, VERSION = "model", 3
+"""Those of msg_defs/GlobalModel.msg."""
 FINAL, MASKED, ASYNCHRONOUS, VALIDATING = 1, 2, 4, 8
+"""Bits of `flags`, see msg_defs/GlobalModel.msg."""
 
 
 @dataclass(frozen=True, slots=True)

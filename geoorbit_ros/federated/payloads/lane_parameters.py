@@ -13,6 +13,7 @@ from geoorbit_ros.federated.payloads.header import PayloadReader, begin_payload
 from geoorbit_ros.lanes.parameters import BOUNDS, LaneParameters
 
 SCHEMA, VERSION = "theta", 3
+"""Those of msg_defs/LaneParameters.msg."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +58,7 @@ class ThetaPayload:
 
 
 MAX_BYTES = 1 << 16
+"""Longest payload that is read. Chosen: some hundred times what three parameters need."""
 
 
 class ThetaInbox:

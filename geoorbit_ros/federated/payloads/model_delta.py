@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from geoorbit_ros.federated.payloads.header import PayloadReader, begin_payload
 
 SCHEMA, VERSION = "delta", 2
+"""Those of msg_defs/ModelDelta.msg."""
 
 
 @dataclass(frozen=True, slots=True)

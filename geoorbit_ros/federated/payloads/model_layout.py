@@ -18,7 +18,8 @@ Vector = NDArray[np.float32]
 """All tensors one after the other, row by row: shape (size,)."""
 
 MAX_SIZE = 1 << 24
-"""Most weights a model may have; a bound on what a payload can make its reader allocate."""
+"""Most weights of a model. Chosen: larger lets a payload make its reader allocate more, smaller
+excludes larger models; the one in use has 179."""
 
 
 @dataclass(frozen=True, slots=True)

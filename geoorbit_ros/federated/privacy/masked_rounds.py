@@ -21,9 +21,11 @@ from geoorbit_ros.federated.rounds.verdict import GainSums, gain_terms
 EXTRA = 6
 """Numbers behind the weights: loss, whether it trains, and what `verdict.gain_terms` gives."""
 LOSS_SCALE = 1e3
-"""Losses travel as thousands behind the weights, so that they fit the weights' range."""
+"""Losses are sent in thousands behind the weights, to fit the weights' range. Chosen: larger rounds
+small losses more, smaller cuts large ones."""
 STAGE_S = 30.0
-"""Longest wait for the steps after the first, which only compute."""
+"""Longest wait for the steps after the first, in which clients only compute. Chosen: longer delays a
+round when a client is lost, shorter loses slow clients."""
 
 
 def masked_vector(update: ClientUpdate, size: int) -> NDArray[np.float32]:

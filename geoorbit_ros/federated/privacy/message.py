@@ -12,6 +12,7 @@ from geoorbit_ros.federated.errors import PayloadError, Refusal
 from geoorbit_ros.federated.payloads.header import PayloadReader, begin_payload
 
 SCHEMA, VERSION = "secure", 2
+"""Those of msg_defs/SecureAggregation.msg."""
 Key = TypeVar("Key", bound=tuple[int, ...])
 
 

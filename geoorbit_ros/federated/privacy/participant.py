@@ -28,7 +28,9 @@ from geoorbit_ros.federated.privacy.random_stream import (
 from geoorbit_ros.federated.privacy.shamir import SHARE_BYTES, split
 
 KEY_BYTES = 32
+"""Of an X25519 public key (RFC 7748)."""
 BOX_BYTES = 2 * SHARE_BYTES + 16
+"""Two shares and the 16-byte tag of the encryption."""
 PEERS_HEAD = struct.Struct("<If")
 
 

@@ -8,8 +8,11 @@ from collections.abc import Mapping, Sequence
 from geoorbit_ros.federated.errors import FederationError
 
 PRIME = 2**521 - 1
+"""A Mersenne prime above every secret."""
 SHARE_BYTES = 66
+"""521 bits."""
 SECRET_BYTES = 32
+"""Of an X25519 private key or a mask's seed."""
 
 
 def split(secret: bytes, points: Sequence[int], threshold: int) -> dict[int, bytes]:

@@ -16,6 +16,7 @@ from geoorbit_ros.federated.payloads.model_layout import ModelLayout, Vector
 from geoorbit_ros.storage.atomic import atomic_output
 
 FORMAT = 2
+"""Of the file."""
 _UNREADABLE = (
     OSError,
     EOFError,

@@ -12,6 +12,7 @@ from geoorbit_ros.federated.rounds.verdict import GainSums
 from geoorbit_ros.federated.strategies.collection import Aggregate, Collection
 
 _LOSS_BITS = 40
+"""Resolution of summed losses, 2^-40. Chosen: finer than the float32 in which they are sent."""
 
 
 @dataclass(frozen=True, slots=True)

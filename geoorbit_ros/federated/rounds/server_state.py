@@ -61,6 +61,7 @@ class Answers:
 
 
 FORMAT = 2
+"""Of the checkpoint."""
 _UNREADABLE = (
     OSError,
     EOFError,

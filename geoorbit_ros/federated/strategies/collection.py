@@ -11,9 +11,12 @@ from numpy.typing import NDArray
 from geoorbit_ros.federated.payloads.model_layout import Vector
 
 FRACTION_BITS = 40
-"""Resolution of the sum: 2^-40, a thousandth of what float32 resolves near 0.01."""
+"""Resolution of the sum: 2^-40, a thousandth of what float32 resolves near 0.01. More bits would
+leave fewer summands in the fraction's 64."""
 MAX_SUMMAND = 2.0**42
+"""With `MAX_SUMMANDS` of them the whole parts fit in 63 bits."""
 MAX_SUMMANDS = 1 << 20
+"""So many fractions of 40 bits fit in 63."""
 
 
 class ExactSum:

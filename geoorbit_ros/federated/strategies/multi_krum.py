@@ -22,6 +22,7 @@ from geoorbit_ros.federated.strategies.strategy import (
 )
 
 _BLOCK = 512
+"""Rows whose distances are in memory at once. Chosen: larger takes more memory, smaller time."""
 
 
 @register("strategy", "multi_krum")
