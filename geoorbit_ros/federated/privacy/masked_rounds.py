@@ -24,8 +24,8 @@ LOSS_SCALE = 1e3
 """Losses are sent in thousands behind the weights, to fit the weights' range. Chosen: larger rounds
 small losses more, smaller cuts large ones."""
 STAGE_S = 30.0
-"""Longest wait for the steps after the first, in which clients only compute. Chosen: longer delays a
-round when a client is lost, shorter loses slow clients."""
+"""Longest wait for the steps after the first, in which clients only compute. Chosen: longer delays
+a round when a client is lost, shorter loses slow clients."""
 
 
 def masked_vector(update: ClientUpdate, size: int) -> NDArray[np.float32]:
