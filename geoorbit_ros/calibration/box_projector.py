@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from geoorbit_ros.calibration.camera_pose import CameraPose, recover_pose
 from geoorbit_ros.calibration.homography import Homography
 from geoorbit_ros.calibration.plane import worst_sigma
-from geoorbit_ros.calibration.track_velocity import MotionFilter, TrackSlots
+from geoorbit_ros.calibration.track_velocity import TrackSlots, VelocityFilter
 from geoorbit_ros.calibration.vehicle_fit import fit_vehicles
 from geoorbit_ros.calibration.vehicle_size import SizeFilter
 from geoorbit_ros.core.errors import CalibrationError, TableError
@@ -33,7 +33,7 @@ MAX_SIGMA_M = 10.0
 larger passes on rows that say little, smaller ends tracks nearer to the camera."""
 SIZE_PERIOD_S = 0.1
 """Sizes are learnt from one frame in every such period of data time: boxes of the frames between
-have the same errors and say nothing new."""
+have the same errors. Chosen: longer learns sizes later, shorter costs time."""
 PATH_HEIGHT_M = 0.8
 """Height of a box's centre where nothing is known of the vehicle: half the height of a car."""
 
@@ -60,12 +60,12 @@ class ProjectionCounts:
 
 
 class BoxProjector:
-    """Projects boxes to the road; implements `ground.GroundProjector`.
+    """Projects boxes to the road; satisfies `lanes.pipeline.GroundProjector`.
 
     The vehicle is a box on the road, turned the way it moves. The ground point is where its image
     explains the four edges of the observed box best (`vehicle_fit`). Length, width and height are
-    learnt per track from the sides of its boxes (`vehicle_size`), the heading from its motion
-    (`motion`); both use the past only, so the result of a frame never changes.
+    learnt per track from the sides of its boxes (`vehicle_size`), the heading from its velocity
+    (`track_velocity`). Both use the past only, so the result of a frame never changes.
 
     Without a recoverable camera pose (`pose_error` says why) the ground point is the middle of the
     box's lower edge, which lies up to half a vehicle's length nearer to the camera.
@@ -112,7 +112,7 @@ class BoxProjector:
     def reset(self) -> None:
         """Forget all tracks, for a source that starts again at an earlier time."""
         self._slots = TrackSlots()
-        self._motion = MotionFilter(self._slots.capacity)
+        self._motion = VelocityFilter(self._slots.capacity)
         self._sizes = SizeFilter(self._slots.capacity)
         self._stamp_ns: int | None = None
         self._epoch_ns: int | None = None
@@ -124,7 +124,7 @@ class BoxProjector:
         return len(self._slots)
 
     def project(self, stamp_ns: int, rows: NDArray[np.void]) -> NDArray[np.void]:
-        """Project one frame; see `ground.GroundProjector`.
+        """Project one frame; see `lanes.pipeline.GroundProjector`.
 
         Raises:
             TableError: Rows of another dtype, or a stamp not later than the one before.

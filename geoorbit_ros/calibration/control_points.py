@@ -34,7 +34,7 @@ class ControlPoints:
     Attributes:
         pixel: (N, 2) float64, image x to the right and y down, pixels.
         local_m: (N, 2) float64, metres east and north in the map frame.
-        datum: Where the map frame's origin is; None when the file gave metres and nobody said.
+        datum: Where the map frame's origin is; None when the file has metres and none was given.
         line_number: (N,) int64, line of each point in its file, for messages.
         place: The file's name, for messages.
     """

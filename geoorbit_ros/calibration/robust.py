@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 Matrix = NDArray[np.float64]
 
 MAX_SAMPLES = 1000
-"""With 45 % wrong points, 9 % of random fours are all good: 1000 hold one but for e^-95."""
+"""With 45 % wrong points, 9 % of random fours are all good. Among 1000 there is
+one, with a probability of all but e^-95."""
 
 ALL_AGREE_SQUARE = 4.0
 """Where every point is this near the plane of all, none is wrong: half of the points, all of them

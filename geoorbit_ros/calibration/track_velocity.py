@@ -95,7 +95,8 @@ class TrackSlots:
 Array = NDArray[np.float64]
 
 ACCELERATION_PSD = 5.0
-"""m^2/s^3: velocities change by 2.2 m/s within a second, between open road and street corner."""
+"""m^2/s^3: velocities change by 2.2 m/s (1-sigma) within a second. Chosen: larger makes velocities
+noisy on open roads, smaller lags behind at street corners."""
 FIRST_SPEED_SIGMA = 20.0
 """m/s, 1-sigma of the speed of a vehicle about which nothing is known. Chosen: wide enough for
 every road; larger needs more frames for a speed."""
@@ -119,7 +120,7 @@ X, Y, VX, VY, PP, PV, VV, X0, Y0, R0, HEADING, TIME = range(12)
 """Columns of the filter's table."""
 
 
-class MotionFilter:
+class VelocityFilter:
     """Constant-velocity Kalman filters, one per slot, updated together.
 
     Both axes share one 2x2 covariance because the measurement noise is taken as isotropic with

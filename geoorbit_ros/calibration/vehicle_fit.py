@@ -101,7 +101,7 @@ SHAPE_SIGMA_RATIO = np.array([0.025, 0.10, 0.025, 0.025])
 where an outline ends, and a roof is shorter and narrower than the footprint, so that the upper
 edge (second) is not where a box's would be."""
 UNKNOWN_SIDE_PX2 = 1e6
-"""Variance of a side that nothing predicts; the centre of the box is all that counts then."""
+"""Variance of a side that nothing predicts: so large that only the centre of the box counts."""
 LEFT_RIGHT, TOP_BOTTOM = np.array([-1.0, 0, 1, 0]), np.array([0, -1.0, 0, 1])
 """How the edges move when a box becomes wider or higher about its centre."""
 SIDES = UNKNOWN_SIDE_PX2 * (np.outer(LEFT_RIGHT, LEFT_RIGHT) + np.outer(TOP_BOTTOM, TOP_BOTTOM))

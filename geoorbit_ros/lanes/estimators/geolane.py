@@ -55,7 +55,7 @@ class GeoLaneEstimator:
         self._frames.append(rows.tobytes())
 
     def lanes(self, parameters: LaneParameters) -> LaneMap:
-        """Lanes of the observation period. Every lane is `confirmed`: the paper knows no doubt."""
+        """Lanes of the observation period. Every lane is `confirmed`: the paper has no others."""
         if not self._stamps:
             return LaneMap(0, ())
         stamp_ns = self._stamps[-1]

@@ -1,4 +1,4 @@
-"""A lane mapper for cameras that run for ever: it starts anew, and goes on after a crash."""
+"""A lane mapper for cameras that run for months: it can start anew, and goes on after a crash."""
 
 from __future__ import annotations
 

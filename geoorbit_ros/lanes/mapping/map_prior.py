@@ -1,10 +1,10 @@
 """What a map adds to lanes that too few vehicles have driven along.
 
-A prior must not do harm where the map is wrong, so it has to earn its weight at each place: a
-tentative lane is drawn towards the map's lane only where a confirmed lane beside it lies where the
-map has it, and with the error that the map has there. The width of a lane without neighbours, a
-guess by the speed of the road, gives way to the map's only where the map has the widths right that
-were measured. Confirmed lanes stay where they are, and no lane gains confidence.
+The map may be wrong, so it is used only where it agrees with what was measured. A tentative lane is
+moved towards the map's lane where a confirmed lane beside it lies where the map has it, and the map
+counts with the error that it has there. A lane without neighbours, whose width is only typical of
+the road's speed, takes the map's width where the map agrees with the widths that were measured.
+Confirmed lanes stay where they are, and no lane gains confidence.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class MapPrior:
         )
 
     def refine(self, lane_map: LaneMap) -> LaneMap:
-        """A lane map in which sparse lanes have taken the map's word where it is good."""
+        """The lane map with sparse lanes refined where the map agrees with measured lanes."""
         if all(_is_known(lane) for lane in lane_map.lanes):
             return lane_map
         places = [self._of(lane) for lane in lane_map.lanes]

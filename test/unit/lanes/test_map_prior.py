@@ -59,7 +59,7 @@ def test_a_wrong_map_changes_no_centre_line(wrong: list[Lane]) -> None:
     assert y_of(MapPrior(wrong).refine(SEEN)) == pytest.approx(4.2)
 
 
-def test_widths_that_are_wrong_where_measured_are_not_believed_elsewhere() -> None:
+def test_widths_that_are_wrong_where_measured_are_not_used_elsewhere() -> None:
     narrow = [replace(each, width_m=2.8) for each in TRUE]
     assert MapPrior(narrow).refine(SEEN).lanes[1].width_m == 3.2
     one = LaneMap(0, (SEEN.lanes[0], SPARSE))

@@ -122,8 +122,8 @@ def test_a_second_lane_on_the_same_truth_is_invented() -> None:
 
 
 def test_tentative_lanes_without_a_truth_are_counted_apart() -> None:
-    ghost = replace(lane(2, 30.0), status="tentative")
-    score = score_lanes([lane(1), ghost], [lane(9)])
+    tentative = replace(lane(2, 30.0), status="tentative")
+    score = score_lanes([lane(1), tentative], [lane(9)])
     assert score.unmatched_tentative == (2,)
     assert score.invented == ()
     assert score.passed

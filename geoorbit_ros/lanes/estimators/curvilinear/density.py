@@ -79,7 +79,7 @@ class Raster:
         at = profiles.d + np.multiply.outer(shift, drift_m)
         # Bins begin at the data, so that a shifted reference line shifts them and nothing else.
         margin = 3.0 * blur_m + 2.0 * BIN_M
-        # Detections may be so patchy that no vehicle tells anything at any station.
+        # Detections may be so patchy that no vehicle counts at any station.
         low, high = (float(at.min()), float(at.max())) if at.size else (0.0, 0.0)
         low -= margin
         self._offset_m = np.arange(low, high + margin, BIN_M)

@@ -41,7 +41,7 @@ FRAME_PERIOD_S = 1.0 / 15.0
 """One frame per period is enough: what is wrong with a box is alike from frame to frame. Chosen:
 longer leaves fast vehicles few rows, shorter costs time."""
 MAX_SIGMA_M = 2.0
-"""Rows less certain than this tell nothing about lanes. Chosen: half a lane and a little; larger
+"""Rows less certain than this are not used. Chosen: half a lane and a little; larger
 blurs neighbouring lanes, smaller ends lanes nearer to the camera."""
 
 

@@ -26,7 +26,7 @@ KERNEL_SHARE = 0.6
 """Half-width of the regression kernel as a share of the corridor's scale. Chosen: wider straightens
 lane changes, narrower passes on the noise of single boxes."""
 KERNEL_REACH = 2
-"""Stations to either side that a node tells about: those within the kernel."""
+"""Stations to either side within the kernel: 0.6 of a scale of four stations, rounded down."""
 SLOPE_PRIOR = 0.15
 """1-sigma of a vehicle's slope against the reference line, 9 degrees: keeps a slope from two nodes
 possible. Chosen: larger allows wild slopes, smaller flattens lane changes."""
@@ -80,7 +80,7 @@ def lateral_profiles(
     """
     scale = np.array([c.scale_m for c in corridors])
     step = scale / STATIONS_PER_SCALE
-    # A vehicle tells about stations up to the kernel's reach beyond its own ends.
+    # A vehicle counts at stations up to the kernel's reach beyond its own ends.
     low = np.floor([c.s.min() / m for c, m in zip(corridors, step, strict=True)]) - KERNEL_REACH
     high = np.ceil([c.s.max() / m for c, m in zip(corridors, step, strict=True)]) + KERNEL_REACH
     count = (high - low).astype(np.int64) + 1 + GAP_STATIONS

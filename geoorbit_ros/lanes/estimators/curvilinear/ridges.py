@@ -98,7 +98,7 @@ def separate(ridges: list[Ridge]) -> list[Ridge]:
         if free.all():
             kept.append(ridge)
             continue
-        # The longest free stretch remains; crumbs do not.
+        # The longest free stretch remains.
         edges = np.flatnonzero(np.diff(np.concatenate([[0], free.astype(np.int8), [0]])))
         runs = edges.reshape(-1, 2)
         if len(runs):
@@ -141,7 +141,7 @@ def _bridge(ridges: list[Ridge]) -> list[Ridge]:
 def table(
     ridges: Sequence[Ridge], values: Sequence[NDArray[np.float64]], stations: int, empty: float
 ) -> NDArray[np.float64]:
-    """(R, J) the ridges' values at the sheet's stations, `empty` where a ridge is not."""
+    """(R, J) the ridges' values at all stations, `empty` where a ridge is not."""
     result = np.full((len(ridges), stations), empty)
     for k, (ridge, value) in enumerate(zip(ridges, values, strict=True)):
         result[k, ridge.first : ridge.first + len(value)] = value

@@ -1,4 +1,4 @@
-"""Rows of tracks as columns: what of a frame may tell about lanes, in a tenth of its bytes."""
+"""Rows of tracks as columns: what lanes are derived from, a tenth of a frame's bytes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ levels exact tracks, smaller lets one row decide alone."""
 
 @dataclass(frozen=True, slots=True)
 class TrackRows:
-    """N rows of tracks that may tell about lanes, column by column.
+    """N rows of tracks from which lanes can be derived, column by column.
 
     Attributes:
         time_s: (N,) capture time, seconds since the evidence's epoch.

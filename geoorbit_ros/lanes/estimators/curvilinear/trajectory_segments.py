@@ -20,7 +20,7 @@ MAX_GAP_S = 1.5
 """A track silent for longer is taken for two vehicles: ids are reused after occlusions.
 Chosen: longer joins two vehicles, shorter cuts one that passed behind a sign."""
 MAX_PIECE_S = 60.0
-"""Longer tracks are cut, so that a stopped vehicle can't hold memory for ever.
+"""Longer tracks are cut, so that a stopped vehicle can't hold memory without end.
 Chosen: longer holds more memory, shorter counts a queueing vehicle twice."""
 NODE_PERIOD_S = 0.2
 """Frames within this are averaged into one node. Chosen: longer rounds bends off, shorter takes
@@ -222,7 +222,7 @@ def _cut_at_turns(nodes: _Nodes) -> _Nodes:
     """Cut where the direction of travel breaks: there an id went from one vehicle to another.
 
     A vehicle at speed v turns by at most a / v per second, a being its largest lateral
-    acceleration; what the nodes' errors can feign is allowed on top.
+    acceleration; the turn that the nodes' errors alone can make is allowed on top.
     """
     inside = np.diff(nodes.piece) == 0
     turn = np.abs(wrap_rad(np.diff(np.arctan2(np.diff(nodes.y), np.diff(nodes.x)))))
@@ -230,11 +230,11 @@ def _cut_at_turns(nodes: _Nodes) -> _Nodes:
     dt = np.maximum(np.diff(nodes.time_s), 1e-3)
     error = np.maximum(nodes.sigma[1:], nodes.sigma[:-1])
     speed = 0.5 * (length[1:] / dt[1:] + length[:-1] / dt[:-1])
-    feigned = error / length
-    feigned = 3.0 * np.sqrt(feigned[1:] ** 2 + feigned[:-1] ** 2)
+    from_errors = error / length
+    from_errors = 3.0 * np.sqrt(from_errors[1:] ** 2 + from_errors[:-1] ** 2)
     possible = MAX_LATERAL_MPS2 * 0.5 * (dt[1:] + dt[:-1]) / np.maximum(speed, 0.1)
     real = inside & (length > 2.0 * error)
-    impossible = (turn > possible + feigned) & (turn > MIN_BREAK_RAD) & inside[1:] & inside[:-1]
+    impossible = (turn > possible + from_errors) & (turn > MIN_BREAK_RAD) & inside[1:] & inside[:-1]
     new = nodes.starts()
     new[1:-1] |= ((turn > MAX_TURN_RAD) & real[1:] & real[:-1]) | impossible
     return replace(nodes, piece=np.cumsum(new) - 1)

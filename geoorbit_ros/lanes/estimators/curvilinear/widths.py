@@ -120,7 +120,7 @@ def lane_widths(
     error = np.empty(count)
     for lane in range(count):
         mine = [s for s in spacings if lane in s.lanes and s.value_m <= road + SHOULDER_M]
-        # A spacing is the mean of two widths: it tells about one of them with the other's spread.
+        # A spacing is the mean of two widths: one of them is known up to the other's spread.
         weight = np.array([1.0 / (s.sigma_m**2 + SPREAD_M**2) for s in mine])
         spacing = np.array([s.value_m for s in mine])
         prior = 1.0 / (road_sigma**2 + SPREAD_M**2)
