@@ -20,7 +20,7 @@ Image = NDArray[np.uint8]
 """(H, W, 3) uint8, blue green red."""
 
 MIN_SIDE_PX = 2
-"""A smaller image has no inside."""
+"""Least width and height: a smaller image has only a border."""
 
 
 class ModelError(GeoOrbitError):

@@ -17,7 +17,7 @@ from geoorbit_ros.scenes.camera import PinholeCamera
 LINE_WIDTH_M = 0.18
 """Width of painted lines. Chosen: between 0.12 and 0.30 m of German roads (RMS-1)."""
 HORIZON_M = 4000.0
-"""Points farther away than this are sky: haze hides them."""
+"""Points farther away than this are sky. Chosen: haze hides them."""
 VERGE_M = 0.7
 """Width of the gravel beside the pavement. Chosen by appearance."""
 SAMPLES = 4

@@ -23,7 +23,7 @@ _MAX_RADIUS_PX = 80
 _MIRRORED = 0.55
 """Share of a lamp's light that a wet road mirrors. Chosen by appearance."""
 _FACING = 0.05
-"""Cosine below which a lamp is seen from the side, and does not dazzle."""
+"""Cosine below which a lamp is seen from the side, and does not dazzle. Chosen by appearance."""
 
 Kind = Literal["head", "tail"]
 
@@ -138,15 +138,17 @@ def _sprite(kind: Kind, wet: bool, radius: int, level: float) -> NDArray[np.uint
 
 
 COARSE = 4
-"""Pixels per pixel of the light on the ground: it has no sharp edges."""
+"""Pixels per pixel of the light on the ground: it has no sharp edges. Chosen: smaller takes more
+time."""
 POOL_M = (1.0, 46.0)
-"""A low beam reaches from here to there ahead of the bumper."""
+"""A low beam reaches from here to there ahead of the bumper. Chosen by appearance."""
 HALF_WIDTH_M = 8.0
 """Width of a low beam on the road, to either side. Chosen by appearance: two lanes."""
 _SHARES = np.array([1.0, 0.6, 0.3])
 """Shares of a beam that are tried: the longest that does not reach behind the camera is drawn."""
 _NEAR_M = 2.0
-"""What reaches nearer to the camera counts as behind it."""
+"""What reaches nearer to the camera counts as behind it. Chosen: the projection is unbounded
+there."""
 
 
 class LightPools:

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from geoorbit_ros.scenes.detector_model import View
 
 _TOUCH_M = 0.05
-"""Footprints that overlap less than this count as apart."""
+"""Footprints that overlap less than this count as apart. Chosen: less than the error of a simulated
+position; larger draws touching vehicles in the wrong order."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -41,7 +41,8 @@ MIN_FPS = 1.0
 MAX_FPS = 120.0
 """Largest frame rate. Chosen: no camera on a pole is faster."""
 MIN_BOX_PX = 1.0
-"""A vehicle of which less than this is in the image, in either direction, has no box."""
+"""A vehicle of which less than this is in the image, in either direction, has no box. Chosen: less
+can not be drawn."""
 SEEN_SHARE = 0.3
 """From this visible share on a vehicle counts for its lane: `MIN_VISIBLE_SHARE` of `simulate`."""
 SEEN_HEIGHT_PX = 12.0
@@ -152,7 +153,7 @@ def render_scene(
         conditions: Light and weather; default: a dry day.
         fps: Frames per second; default: the scene's.
         image_size: Width and height; default: the scene's. The field of view stays.
-        progress: Told what is being done.
+        progress: Called with what is being done.
 
     Raises:
         ParameterError: A duration, seed, rate or size out of range.

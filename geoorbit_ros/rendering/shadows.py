@@ -13,20 +13,20 @@ from geoorbit_ros.rendering.painter import Body
 from geoorbit_ros.scenes.camera import PinholeCamera
 
 COARSE = 2
-"""Pixels per shadow pixel: shadows have soft edges."""
+"""Pixels per shadow pixel: shadows have soft edges. Chosen: 1 takes more time."""
 _SHIFT = 4
 """Fractional bits of OpenCV's polygon corners."""
 _SOFT = 0.6
 """Blur in shadow pixels. The sun's penumbra is centimetres wide: more would put a dark halo, large
-beside a far vehicle, where a camera shows none."""
+beside a far vehicle, where a camera shows none. Chosen by appearance."""
 _FAR_PX = 20000.0
 """OpenCV's polygons take no larger coordinates."""
 _LOW_M = 0.6
-"""Corners below this make the outline of what touches the ground."""
+"""Corners below this make the outline of what touches the ground. Chosen: the height of a sill."""
 _BENEATH = 0.62
-"""Share of light that is missing beneath a vehicle."""
+"""Share of light that is missing beneath a vehicle. Chosen by appearance."""
 _MIRROR = 0.30
-"""Share of the light from a wet road that the mirrored vehicle takes away."""
+"""Share of the light from a wet road that the mirrored vehicle takes away. Chosen by appearance."""
 
 
 class Shadows:

@@ -23,7 +23,7 @@ RANGE_M = (25.0, 420.0)
 """Distances of trees from the camera. Chosen: nearer ones fill the image, farther ones are the
 wood."""
 _MAX_SPRITE_PX = 260
-"""Larger trees are left out: their leaves would look blurred."""
+"""Larger trees are left out: their leaves would look blurred. Chosen by appearance."""
 _KINDS = 12
 """Different bushes, and as many different trees. Chosen: more take time at the start."""
 _TREE_PX = 170
@@ -31,7 +31,7 @@ _TREE_PX = 170
 _BUSH_PX = 60
 """Height at which bushes are painted. Chosen: as `_TREE_PX`."""
 _BUSH_M = 4.0
-"""What is smaller is a bush."""
+"""What is smaller is a bush. Chosen by appearance."""
 WOOD_M = 900.0
 """Distance of the wood at the horizon. Chosen: farther is lost in haze, nearer moves above the
 road."""

@@ -10,7 +10,8 @@ import numpy as np
 BEFORE_M = 330.0
 """Road before the middle of the view. Chosen: vehicles are at speed when they come into it."""
 AFTER_M = 330.0
-"""Road after the middle of the view, where those of the other carriageway come from."""
+"""Road after the middle of the view, where those of the other carriageway come from. Chosen: as
+`BEFORE_M`."""
 MAX_RADIUS_M = 5000.0
 """Largest radius that a scene file may give to a bend."""
 

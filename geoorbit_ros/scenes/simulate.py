@@ -30,9 +30,9 @@ CLEAN_SIGMA_M = 0.02
 START_NS = 1_000_000_000
 """Stamp of the first frame; zero stamps mean 'unset' in ROS."""
 MIN_DURATION_S = 1.0
-"""Shorter runs show no vehicle moving."""
+"""Shortest run. Chosen: in less, no vehicle moves."""
 MAX_DURATION_S = 21600.0
-"""Six hours: all frames are held in memory."""
+"""Longest run: all frames are held in memory. Chosen: six hours."""
 MAX_SEED = 2**31 - 1
 """SUMO's seed is an int32."""
 

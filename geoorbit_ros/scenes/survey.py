@@ -18,9 +18,11 @@ SURVEY_SIGMA_M = 0.02
 CLICK_SIGMA_PX = 0.5
 """1-sigma of a clicked pixel coordinate. Chosen: a careful person's."""
 MARGIN_PX = 20.0
-"""No point is nearer to the image border: lens distortion is largest there."""
+"""No point is nearer to the image border. Chosen: in a real camera lens distortion is largest
+there."""
 MAX_GROUND_SIGMA_M = 0.5
-"""No point is taken where a pixel is more than this on the ground: it would be too uncertain."""
+"""No point is taken where a pixel is more than this on the ground. Chosen: larger makes the
+homography inexact."""
 
 
 def survey_control_points(

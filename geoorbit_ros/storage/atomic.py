@@ -80,5 +80,5 @@ def _move_aside(target: Path, scratch: Path) -> None:
 
 def _remove_empty(folders: list[Path]) -> None:
     for folder in reversed(folders):
-        with suppress(OSError):  # somebody else uses it meanwhile: then it stays
+        with suppress(OSError):  # another process has put something there: then it stays
             folder.rmdir()

@@ -15,7 +15,8 @@ Index = NDArray[np.intp]
 
 GATE = 60.0
 """Squared distance in 1-sigma errors over the four measurements beyond which no pair is considered
-(chi-square with four degrees of freedom: far out, because errors of boxes have heavy tails)."""
+(chi-square with four degrees of freedom: far out, because errors of boxes have heavy tails).
+Chosen: larger takes more time and changes few ids, smaller loses vehicles after wild boxes."""
 SPREAD_WEIGHT = 1.6
 """Weight of a prediction's spread; 1 would be its likelihood. Chosen: larger favours tracks with
 exact predictions more, smaller lets a track lost for long take others' detections."""

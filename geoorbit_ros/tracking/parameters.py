@@ -1,4 +1,4 @@
-"""What a tracker can be told."""
+"""Parameters of the tracker."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "image_height": (0, 32768),
     "first_id": (1, 2**31 - 1),
 }
-"""Smallest and largest value of each parameter: what has a meaning; times up to a minute."""
+"""Smallest and largest value of each parameter. Chosen: shares are from 0 to 1, longer times than a
+minute have no use."""
 
 
 @dataclass(frozen=True, slots=True)

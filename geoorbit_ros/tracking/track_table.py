@@ -54,7 +54,7 @@ class FrameDetections:
 def prepare(
     rows: NDArray[np.void], parameters: TrackerParameters, noise: MotionNoise
 ) -> FrameDetections:
-    """Detections that can be used and are not too weak, the same whatever order they came in."""
+    """Detections that can be used and are not too weak, the same for any order of the rows."""
     names = ("x", "y", "width", "height", "score")
     value = np.array([rows[name] for name in names], dtype=np.float64).reshape(5, -1)
     usable = np.isfinite(value).all(axis=0) & (value[2] > 0.0) & (value[3] > 0.0)

@@ -82,7 +82,7 @@ WORK_SHARE = 0.8
 """Share of the time between two images in which the most usual values are found, a part in each
 frame, so that no frame takes long. Chosen below 1: the work is done when the next image is kept."""
 MIN_CELLS = 48
-"""Cells worked on in one frame at least: fewer cost more in calls than in work."""
+"""Cells worked on in one frame at least. Chosen: fewer cost more in calls than in work."""
 
 
 @dataclass(frozen=True, slots=True)

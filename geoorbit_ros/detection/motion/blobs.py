@@ -25,7 +25,7 @@ RADIUS_SHARE = 0.10
 """Gaps in a vehicle are closed that are this share of a car's height wide. Chosen: larger joins
 neighbours, smaller leaves windows open."""
 MAX_RADIUS_PX = 16.0
-"""Gaps are closed up to this radius, because the time it takes grows with its square."""
+"""Gaps are closed up to this radius. Chosen: the time that it takes grows with its square."""
 ONE_WIDTH = 1.25
 """A blob up to so many cars wide is one vehicle. Chosen: larger joins cars side by side, smaller
 splits a car that turns."""
@@ -43,9 +43,11 @@ CONVEX_SIMILARITY = 0.6
 """Similarity that such a blob has at least. Chosen: its score then is 0.54, which begins a track
 (`TrackerParameters.birth_score`)."""
 MIN_CAR_PX = 5.0
-"""Where cars are less high, several in one blob are not told apart: a car has too few pixels."""
+"""Where cars are less high, several in one blob are not told apart. Chosen: a car has too few
+pixels there."""
 MIN_LORRY_CAR_PX = 10.0
-"""Where cars are less high, a dense queue looks like a lorry."""
+"""Where cars are less high, no lorry is looked for. Chosen: a dense queue looks like one there;
+smaller joins queues."""
 LORRY_AREA = 1.8
 """Pixels of the smallest lorry, in boxes of a car. Chosen: larger misses lorries, smaller takes
 more time."""

@@ -52,7 +52,7 @@ margin."""
 
 @register("detector", "motion")
 class MotionDetector:
-    """Finds whatever moves on the road of a camera that stands still.
+    """Finds all that moves on the road of a camera that stands still.
 
     Everything that depends on the place is learnt from the images: the empty road, how dark shadows
     are, how large a car is where. The first second gives no boxes, the first minute worse ones.

@@ -16,7 +16,7 @@ MOST_STEP = 1.0
 """A vehicle moves at most so many diagonals of its box in between; farther off is another one.
 Chosen: larger pairs neighbours, smaller needs more frames per second."""
 LEAST_STEP_PX = 2.0
-"""Edges are found to half a pixel: shorter steps have no direction."""
+"""Shorter steps have no direction. Chosen: edges are found to half a pixel."""
 ALIKE = 0.2
 """Boxes of one vehicle are this equal in width and height, as a natural logarithm. Chosen: larger
 pairs neighbours, smaller misses vehicles that turn."""

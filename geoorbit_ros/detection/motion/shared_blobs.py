@@ -25,8 +25,8 @@ KIND_COST = (0.25, 0.3, 0.7, 1.0)
 """Evidence that one more vehicle of each kind needs, in cars' areas. Chosen: larger leaves vehicles
 in one box, smaller finds vehicles in shadows."""
 EMPTY_COST = 1.0
-"""Price of a pixel that a vehicle should cover and doesn't, relative to one that no vehicle
-covers."""
+"""Price of a pixel that a vehicle should cover and doesn't, relative to one that no vehicle covers.
+Chosen: larger leaves parts of a blob without a vehicle, smaller puts vehicles into gaps."""
 MOST = 6
 """Vehicles in one blob at most. Chosen: more take more time; a longer row stays partly
 unexplained."""
@@ -34,7 +34,7 @@ SIZE_STEP = 0.15
 """Sizes closer than this, as a natural logarithm, are taken for one. Chosen: smaller takes more
 time."""
 ROW_STEP = 3
-"""Sizes are looked up in every third row, to save time."""
+"""Sizes are looked up in every third row, to save time. Chosen: larger tries fewer sizes."""
 ROUNDS = 2
 """So often each vehicle is moved to where it fits best beside the others. Chosen: more take
 time."""
@@ -44,12 +44,14 @@ Chosen: larger leaves vehicles in one box, smaller splits lorries."""
 MOST_LORRIES = 3
 """Long lorries in one blob at most. Chosen: more take time."""
 GOOD = 0.12
-"""An explanation less bad than this is not improved by lorries: their own misfit is as large."""
+"""An explanation less bad than this is not improved by lorries. Chosen: their own misfit is as
+large; smaller takes more time."""
 NEAR = 0.35
 """Edges move outwards by at most this share of the box to where the blob ends. Chosen: larger takes
 in neighbours, smaller cuts vehicles of unusual size."""
 HIDDEN = 0.12
-"""Edges move inwards by at most this share of the box: farther in, another vehicle hides them."""
+"""Edges move inwards by at most this share of the box. Chosen: farther in, another vehicle hides
+them."""
 OUTSIDE = 0.1
 """A pixel outside a lorry's outline counts as so far from its box, in halves of it. Chosen: more
 than a pixel of a neighbour that lies in both boxes."""

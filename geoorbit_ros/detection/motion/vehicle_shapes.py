@@ -27,18 +27,21 @@ BANDS = 12
 """The image is cut in so many bands of rows that count equally in the fit. Chosen: more have too
 few boxes each, fewer let one queue decide."""
 MIN_BAND = 12
-"""A band with fewer boxes counts less."""
+"""A band with fewer boxes counts less. Chosen: fewer let single boxes decide."""
 MIN_HEIGHT_PX = 3.0
-"""No car is taken to be less high: rows at the horizon would have none or a negative height."""
+"""No car is taken to be less high. Chosen: rows at the horizon would have none or a negative
+height."""
 CELLS = (8, 10)
 """Where roads bend, cars turn: how their size departs from the line is learnt in so many cells, by
 height of the line and by column. Chosen: more need longer to learn, fewer blur bends."""
 CELL_PRIOR = 6.0
 """Cars that the line counts for in each cell. Chosen: more learn bends later, fewer are noisier."""
 CELL_BLUR = 0.6
-"""1-sigma, in cells, by which neighbours count too: a cell by itself is noisy."""
+"""1-sigma, in cells, by which neighbours count too: a cell by itself is noisy. Chosen: larger blurs
+bends."""
 MAX_BEND = 0.3
-"""Largest departure of one box that is learnt, as a natural logarithm: more is another vehicle."""
+"""Largest departure of one box that is learnt, as a natural logarithm: more is another vehicle.
+Chosen: larger learns from lorries, smaller learns sharp bends less."""
 _MIN_SHARE = 0.3
 """Share of the boxes that must be cars for a fit to count. Chosen: larger learns nothing where
 every second vehicle is a lorry, smaller learns from lorries."""
@@ -202,7 +205,8 @@ SHARPNESS = 2.0
 """Contrast of the averaged outline around one half. Chosen: larger ignores that vehicles differ,
 smaller leaves its edges soft."""
 FIRST_EXPONENT = 3.0
-"""Shape used before any outline is known: between an ellipse (2) and a box (infinite)."""
+"""Shape used before any outline is known: between an ellipse (2) and a box (infinite). Chosen:
+outlines seen from a pole lie between."""
 
 
 class VehicleOutlines:

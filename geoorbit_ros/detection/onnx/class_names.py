@@ -36,8 +36,8 @@ COCO_NAMES = tuple(_COCO.split(","))
 def vehicle_class(name: str) -> int | None:
     """COCO number of a class called `name`; None when that is no motor vehicle.
 
-    The last word that says so decides: a police car is a car, a `big truck` a truck. A van counts
-    as a car, as detectors trained on COCO call it.
+    The last known word of the name decides: a police car is a car, a `big truck` a truck. A van
+    counts as a car, as in COCO.
     """
     for word in reversed(re.findall(r"[a-z]+", name.lower())):
         if word in _CLASS_OF:

@@ -205,7 +205,7 @@ def choose_layout(
     if layout is None:
         raise refusal
     if not names and count in (0, len(COCO_NAMES)):
-        # Files without metadata come with the 80 classes of COCO, or the user knows better.
+        # Files without metadata have the 80 classes of COCO, unless the user names others.
         names = dict(enumerate(COCO_NAMES))
     if not names:
         expected = "metadata 'names' in the file, or the option class_names"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from geoorbit_ros.detection.detector import Image
 
 GREY = 114
-"""Both families pad with this value in every channel."""
+"""Value of the border in every channel: that of the predictors of Ultralytics and YOLOX."""
 _HALF_TIE = 0.1
 """Keeps half pixels from being rounded to even: an odd rest goes to the right and to the bottom."""
 

@@ -18,7 +18,7 @@ from geoorbit_ros.detection.onnx.model_input import GREY, Letterbox, ModelInput,
 from geoorbit_ros.detection.onnx.session import load_session
 
 MAX_CANDIDATES = 30000
-"""More boxes than this before suppression: the best of them, as the common predictors do."""
+"""More boxes than this before suppression are cut to the best: Ultralytics' default `max_nms`."""
 
 
 def suppress(
@@ -50,7 +50,7 @@ def suppress(
 
 
 MAX_DETECTIONS = 300
-"""Per image, as the exporters' own predictors."""
+"""Boxes of one image at most: Ultralytics' default `max_det`."""
 
 
 @register("detector", "yolo")

@@ -44,7 +44,7 @@ SCHEMA = pa.schema(
     ]
 )
 _ROW_GROUP = 128_000
-"""Rows written at once: about 7 MB, and large enough for Parquet to compress well."""
+"""Rows written at once. Chosen: about 7 MB, and large enough for Parquet to compress well."""
 
 
 class _TableWriter(AbstractContextManager["_TableWriter"], Protocol):

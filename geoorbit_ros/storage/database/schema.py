@@ -24,7 +24,8 @@ from geoorbit_ros.core.tables import TRACK_DTYPE, Frames
 APPLICATION_ID = 0x47654F72
 """ASCII "GeOr", as file(1) and PRAGMA application_id show it."""
 MAX_BATCH_SPAN_NS = 1_000_000_000
-"""No batch of frames is longer: readers rely on it to find the batch that holds a time."""
+"""No batch of frames is longer: readers rely on it to find the batch that holds a time. Chosen:
+longer reads more than was asked for; it can not shrink without a new version."""
 BUSY_TIMEOUT_S = 5.0
 """How long to wait for another process's transaction. Chosen: those of this package take
 milliseconds; longer keeps a node waiting behind a stuck process."""

@@ -20,7 +20,8 @@ from geoorbit_ros.storage.database.schema import encode_batch, faults_as_sentenc
 __all__ = ["COMMIT_PERIOD_S", "CameraContent", "TrajectoryDatabase", "TrajectoryReader"]
 
 COMMIT_PERIOD_S = 0.8
-"""Oldest uncommitted frame, in wall time and in data time: a kill costs less than a second."""
+"""Longest time that a frame is not committed, in wall time and in data time. Chosen: a kill costs
+less than a second; shorter writes more."""
 _SPAN_NS = int(COMMIT_PERIOD_S * 1e9)
 """Longest batch, below `MAX_BATCH_SPAN_NS` of the schema."""
 _MIN_NS = -(2**62)

@@ -1,6 +1,6 @@
 """What every source of images is: an iterable of capture times and images that can be closed.
 
-Whatever a camera or a file delivers becomes 8-bit blue, green, red, always of one size.
+All images become 8-bit blue, green, red, and have one size.
 """
 
 from __future__ import annotations

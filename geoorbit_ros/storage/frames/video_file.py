@@ -38,7 +38,7 @@ _COMPLETE_RATIO = 0.9
 """A video with less than this share of its announced length, less `_COMPLETE_SLACK_S`, breaks off.
 Chosen: containers round, and some only estimate their length."""
 _COMPLETE_SLACK_S = 1.0
-"""See `_COMPLETE_RATIO`: for short videos."""
+"""Part of `_COMPLETE_RATIO`. Chosen: the last frames of a short video may have no times."""
 _EXPECTED = "a video that FFmpeg can decode (MP4, MKV, AVI, WebM, …)"
 
 

@@ -1,4 +1,4 @@
-"""The tensor of kept memory holds what the published steps give, whatever was in it before."""
+"""The tensor, whose memory is used again, holds what the published steps give."""
 
 from collections.abc import Sequence
 

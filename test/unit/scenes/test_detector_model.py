@@ -168,7 +168,7 @@ def test_edges_jitter_as_much_as_they_should() -> None:
     assert np.allclose(jitter.mean(axis=0), 0.0, atol=0.12)
     lag = np.mean(jitter[1:] * jitter[:-1], axis=0) / 1.5**2
     assert np.all(np.abs(lag) < 0.08)
-    # The other part breathes: it is proportional to the size, and similar a frame later.
+    # The other part varies slowly: it is proportional to the size, and similar a frame later.
     breath = np.array([b[0] for b in many(faulty(edge_noise_share=0.03), view, 6000)]) - exact
     size = np.tile(exact[2:] - exact[:2], 2)
     assert np.allclose(breath.std(axis=0) / size, 0.03, rtol=0.15)

@@ -15,7 +15,7 @@ PERIOD_NS = 40_000_000
 
 
 class Numbered(FrameSource):
-    """Frames whose stamps are 1, 2, … periods; announces each, and waits where told."""
+    """Frames whose stamps are 1, 2, … periods; announces each, and waits where it must."""
 
     def __init__(self, count: int, *, live: bool = False, gate_at: int | None = None) -> None:
         super().__init__("numbered")
