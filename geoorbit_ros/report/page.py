@@ -114,7 +114,7 @@ def _drawings(content: ReportInput) -> str:
     if frame.stretch > 1:
         caption.append(f"Drawn {frame.stretch:.0f} times wider across the page than along it.")
     if len(lane_map.visible_m):
-        caption.append("The shaded ground is where one lane can be told from the next.")
+        caption.append("On the shaded ground, neighbouring lanes can be told apart.")
     if content.truth:
         caption.append("Thin lines are the true lanes.")
     camera = image_view(lane_map, paths, content.homography, content.image_size)

@@ -167,7 +167,7 @@ def _middle_of_roads(area: Path) -> Datum:
 def _check_opendrive(path: Path, datum: Datum) -> int:
     """Check the georeference that CARLA reads; the number of roads outside junctions.
 
-    CARLA 0.9.16 reads `+proj=tmerc` with `lat_0` and `lon_0`; UTM it takes for another place.
+    CARLA 0.9.16 reads `+proj=tmerc` with `lat_0` and `lon_0`; with UTM the road is misplaced.
     """
     root = parse_xml(path, "the OpenDRIVE file that netconvert wrote").getroot()
     reference = root.findtext("header/geoReference", "").strip()

@@ -47,7 +47,7 @@ class LaneEdit:
         origin: Its index in the unchanged edge; None for a new lane.
         shape_m: (K, 2) centre line in travel order, in the network's own coordinates.
         width_m: Its width.
-        rules: What else the file says about it: speed, who may use it.
+        rules: Its other attributes in the file: speed, permitted vehicle classes.
     """
 
     origin: int | None

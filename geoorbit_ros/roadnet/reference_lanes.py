@@ -73,7 +73,7 @@ def inside(point_m: NDArray[np.float64], polygon_m: NDArray[np.float64]) -> NDAr
 def reference_lanes(network: RoadNetwork, view_m: NDArray[np.float64]) -> tuple[Lane, ...]:
     """The lanes that a camera sees, one for each physical lane.
 
-    SUMO cuts a lane at every junction; here it goes on to the lane straight ahead. A lane that
+    SUMO ends a lane at every junction; here it continues in the lane straight ahead. A lane that
     leaves a junction beside another begins there. A lane that is in view twice is cut to the
     longer part.
 

@@ -48,7 +48,7 @@ class CameraTracks:
 
     Args:
         name: The camera.
-        hold_s: How long a track may be missing and go on.
+        hold_s: How long a track may be missing from frames without ending.
         datum: Origin of the twin's map frame.
 
     Attributes:

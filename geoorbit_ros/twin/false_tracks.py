@@ -185,7 +185,7 @@ class JumpWatch:
         self._paths[camera][track] = None
 
     def add_new(self, camera: int, tracks: Iterable[int]) -> None:
-        """These tracks have no vehicle and began beside one; those remembered go on settling."""
+        """These tracks have no vehicle and began beside one; known ones continue to settle."""
         for track in tracks:
             self._paths[camera].setdefault(track, None)
 

@@ -76,7 +76,7 @@ class Fusion:
     Args:
         vehicles: The vehicles; changed with every update.
         cameras: How many there are.
-        on_road: Tells for points (M, 2) whether a vehicle may enter there.
+        on_road: For points (M, 2), whether a vehicle may enter there.
     """
 
     def __init__(self, vehicles: Vehicles, cameras: int, on_road: OnRoad) -> None:

@@ -10,9 +10,9 @@ from geoorbit_ros.roadnet.network import NO_LANE, RoadNetwork
 Array = NDArray[np.float64]
 
 LANE_CHANGE = 2.0
-"""Cost of a lane change, in units of log likelihood. Measured on the shipped scenes (ADR 0018):
-with `matching.LATERAL_SIGMA_M` a change is certain within half a second of crossing the line at 10
-Hz, and noise of 0.15 m on the line causes none; less changes lanes too often, more too late."""
+"""Cost of a lane change, in units of log likelihood. Chosen on the shipped scenes (ADR 0018): with
+`matching.LATERAL_SIGMA_M` a change is certain within half a second of crossing the line at 10 Hz,
+and noise of 0.15 m on the line causes none; less changes lanes too often, more too late."""
 BACKWARDS = 1.0
 """Cost of falling back into the lane before. Chosen: positions at the end of a lane do so by noise;
 less lets vehicles jump back at forks, more keeps them in a wrong lane."""

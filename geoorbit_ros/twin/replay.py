@@ -87,7 +87,7 @@ def replay_tracks(
         streams: One per camera.
         on_step: Called with each step.
         step_s: Length of a step.
-        hold_s: How long a vehicle that no camera sees goes on.
+        hold_s: How long a vehicle that no camera sees keeps driving.
         driven: The network with its lanes where they are driven; None: the network itself is used.
 
     Raises:

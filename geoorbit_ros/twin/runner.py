@@ -35,7 +35,7 @@ class TwinRunner:
         start: Starts a simulation of them.
         cameras: Names.
         step_s: Length of a step.
-        hold_s: How long a vehicle that no camera sees goes on.
+        hold_s: How long a vehicle that no camera sees keeps driving.
         on_step: Called after every step.
         clock_s: Monotonic time, for the pause between attempts.
 

@@ -26,8 +26,8 @@ TOLERANCE_M = 0.02
 """No lane moves by more. netconvert rounds coordinates to half of it: a tighter tolerance keeps
 points of straight lanes that only the rounding made (ADR 0017)."""
 MAX_POINTS = 4
-"""Points per lane of a piece, more only where it would be shorter than `MIN_PIECE_M`. Measured with
-benchmarks/twin.py (ADR 0017): a change of piece costs SUMO about as much as three points."""
+"""Points per lane of a piece, more only where it would be shorter than `MIN_PIECE_M`. Measured (ADR
+0017; benchmarks/twin.py times a step): a change of piece costs SUMO as much as three points."""
 MIN_PIECE_M = 8.0
 """Least length of a piece. Chosen: two vehicle lengths; shorter makes vehicles change pieces in
 every step."""

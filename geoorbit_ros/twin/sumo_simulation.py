@@ -277,7 +277,7 @@ class SumoSimulation:
         try:
             libsumo.start(["sumo", *arguments])
         except (*self._fatal, RuntimeError) as error:
-            # libsumo says what is wrong on standard error, and nothing in its exception.
+            # libsumo writes the reason on standard error; its exception has none.
             found = first_line(error).replace("Process Error", "a network it refuses (see above)")
             raise SimulationError("SUMO", found, "a simulation") from error
         _running_in_process = True

@@ -47,7 +47,7 @@ class Synchronizer:
         simulation: What is moved.
         cameras: Their names.
         step_s: Length of a step.
-        hold_s: How long a vehicle that no camera sees goes on before it leaves.
+        hold_s: How long a vehicle that no camera sees keeps driving before it leaves.
         on_step: Called after every step.
 
     Attributes:

@@ -31,7 +31,7 @@ class ForecastStart:
 
     Attributes:
         step: The twin's last step.
-        demand: Traffic that goes on arriving.
+        demand: Traffic that will arrive.
         horizon_s: How far ahead.
         seed: Of the arrivals and of SUMO's drivers.
     """

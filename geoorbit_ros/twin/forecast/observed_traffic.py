@@ -109,7 +109,7 @@ class ObservedTraffic:
         return other
 
     def demand(self) -> Demand | None:
-        """The demand; None when too little was seen to tell."""
+        """The demand; None where too little was seen."""
         if not self._samples:
             return None
         time_s = self.time_s

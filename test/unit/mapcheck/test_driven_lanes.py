@@ -11,7 +11,7 @@ from geoorbit_ros.core.lanes import Lane, LaneMap
 from geoorbit_ros.core.polylines import offset_line, project
 from geoorbit_ros.lanes.geojson import dumps_lanes
 from geoorbit_ros.mapcheck.driven_lanes import DrivenLane, DrivenNetwork, as_driven, merged
-from geoorbit_ros.mapcheck.map_watch import MapWatch
+from geoorbit_ros.mapcheck.map_watch import STEADY_M, MapCheck, MapWatch
 from geoorbit_ros.mapcheck.validation import validate
 from geoorbit_ros.roadnet.network import RoadNetwork, load_network
 from geoorbit_ros.twin.synchronizer import Synchronizer
@@ -92,6 +92,39 @@ def test_only_edges_with_a_lane_out_of_place_are_moved(network: RoadNetwork) -> 
     found = validate(displaced(lanes, 1.0, (4, 5)), network).discrepancies.driven
     assert set(found) == {"west_0", "west_1"}
     assert all(abs(lane.middle_m - 1.0) < 0.25 for lane in found.values())
+
+
+def shifted(lanes: list[Lane], north_m: float) -> list[Lane]:
+    return [
+        replace(each, centerline_m=each.centerline_m + np.array([0.0, north_m])) for each in lanes
+    ]
+
+
+def test_a_check_decides_on_all_cameras_and_stays_as_it_was(network: RoadNetwork) -> None:
+    lanes = detected(network)
+    first = MapCheck(network).with_lanes("north", lanes)
+    assert first.alignments == {}
+    assert first.driven is None
+    both = first.with_lanes("south", displaced(lanes, 1.0, (4, 5)))
+    assert first.driven is None
+    assert set(first.validations) == {"north"}
+    assert both.driven is not None
+    assert both.driven.largest_m == pytest.approx(1.0, abs=0.25)
+    moved = both.with_lanes("south", shifted(lanes, 1.0))
+    assert set(moved.alignments) == {"south"}
+    assert moved.alignments["south"].shift_m[1] == pytest.approx(-1.0, abs=0.15)
+
+
+@pytest.mark.parametrize(("steady_m", "kept"), [(0.0, False), (STEADY_M, True)])
+def test_small_differences_change_nothing_that_is_in_use(
+    network: RoadNetwork, steady_m: float, kept: bool
+) -> None:
+    lanes = detected(network)
+    before = MapCheck(network, steady_m).with_lanes("north", shifted(lanes, 1.0))
+    after = before.with_lanes("north", shifted(lanes, 1.05))
+    assert (after.alignments["north"] is before.alignments["north"]) == kept
+    away = after.with_lanes("north", shifted(lanes, 1.5))
+    assert away.alignments["north"] is not after.alignments["north"]
 
 
 def test_the_watch_moves_lanes_once_and_back(network: RoadNetwork) -> None:
