@@ -6,17 +6,17 @@ answers at once.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from inspect import getdoc
 from typing import Annotated
 
 import typer
 
 from geoorbit_ros import __version__
-from geoorbit_ros.cli import bag, camera, database, federation, scene
+from geoorbit_ros.cli import bag, camera, database, federation, fleet, scene, twin
 from geoorbit_ros.cli import map as road_map
 from geoorbit_ros.cli.demo import demo
 from geoorbit_ros.cli.detect import detect
-from geoorbit_ros.cli.evaluate import evaluate
 from geoorbit_ros.cli.export import export
 from geoorbit_ros.cli.lanes import lanes
 from geoorbit_ros.cli.process import process
@@ -25,9 +25,7 @@ from geoorbit_ros.cli.report import report
 from geoorbit_ros.cli.score import score
 from geoorbit_ros.cli.status import status
 from geoorbit_ros.cli.track import track
-from geoorbit_ros.cli.train import train
-from geoorbit_ros.cli.twin import forecast as twin_forecast
-from geoorbit_ros.cli.twin import replay as twin
+from geoorbit_ros.cli.train import evaluate, train
 from geoorbit_ros.cli.up import up
 from geoorbit_ros.cli.view import view
 
@@ -67,31 +65,36 @@ def _options(
     """Options before the command."""
 
 
-for _name, _command in (
-    ("demo", demo),
-    ("lanes", lanes),
-    ("process", process),
-    ("replay", replay),
-    ("detect", detect),
-    ("track", track),
-    ("score", score),
-    ("report", report),
-    ("train", train),
-    ("evaluate", evaluate),
-    ("export", export),
-    ("up", up),
-    ("status", status),
-    ("view", view),
-):
+_COMMANDS: dict[str, Callable[..., None]] = {
+    "demo": demo,
+    "lanes": lanes,
+    "process": process,
+    "replay": replay,
+    "detect": detect,
+    "track": track,
+    "score": score,
+    "report": report,
+    "train": train,
+    "evaluate": evaluate,
+    "export": export,
+    "up": up,
+    "status": status,
+    "view": view,
+}
+_GROUPS = {
+    "scene": scene.app,
+    "camera": camera.app,
+    "fleet": fleet.app,
+    "bag": bag.app,
+    "db": database.app,
+    "map": road_map.app,
+    "twin": twin.app,
+    "federation": federation.app,
+}
+for _name, _command in _COMMANDS.items():
     app.command(_name)(_command)
-app.add_typer(scene.app, name="scene")
-app.add_typer(camera.app, name="camera")
-app.add_typer(bag.app, name="bag")
-app.add_typer(database.app, name="db")
-app.add_typer(road_map.app, name="map")
-twin.app.command("forecast")(twin_forecast.forecast)
-app.add_typer(twin.app, name="twin")
-app.add_typer(federation.app, name="federation")
+for _name, _group in _GROUPS.items():
+    app.add_typer(_group, name=_name)
 
 
 def _reflow(commands: typer.Typer) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -18,6 +18,10 @@ from geoorbit_ros.cli.inputs import (
     UpdatePeriodOption,
     load_camera,
 )
+
+if TYPE_CHECKING:
+    from geoorbit_ros.core.lanes import LaneMap
+    from geoorbit_ros.nodes.support.bag_replay import ReplayRequest
 
 
 def replay(
@@ -54,12 +58,8 @@ def replay(
     Example: [bold]geoorbit replay north_bag --calibration calibration.csv --rate 10
     --out lanes.geojson[/bold]
     """
-    from geoorbit_ros.cli.console import console, make_progress, print_lanes
-    from geoorbit_ros.core.errors import NoTrafficError
-    from geoorbit_ros.lanes.geojson import read_lanes
+    from geoorbit_ros.cli.console import console, print_lanes
     from geoorbit_ros.nodes.support.bag_replay import ReplayRequest
-    from geoorbit_ros.nodes.support.bag_replay import replay as run
-    from geoorbit_ros.storage.atomic import atomic_output
 
     camera = load_camera(None, bag, calibration, camera_id, image_size, datum, out)
     request = ReplayRequest(
@@ -75,17 +75,7 @@ def replay(
         domain_id=domain_id,
         quiet=not verbose,
     )
-    start = time.monotonic()
-    with atomic_output(out) as path:
-        with make_progress() as progress:
-            task = progress.add_task(f"replaying {bag}", total=len(camera.frames))
-            text = run(request, lambda frames: progress.update(task, completed=frames))
-        path.write_text(text, encoding="utf-8")
-        lane_map = read_lanes(path)
-        if not lane_map.lanes:
-            found = f"{len(camera.frames)} frames, no vehicle driving along a lane"
-            raise NoTrafficError(str(bag), found, "vehicles driving by")
-    elapsed_s = time.monotonic() - start
+    lane_map, elapsed_s = _run(request, len(camera.frames), out)
     recorded_s = (camera.frames.stamp_ns[-1] - camera.frames.stamp_ns[0]) / 1e9
     print_lanes(lane_map, f"Lanes of {camera.camera_id}")
     console.print(
@@ -93,3 +83,24 @@ def replay(
         f" wrote {out}",
         soft_wrap=True,
     )
+
+
+def _run(request: ReplayRequest, frames: int, out: Path) -> tuple[LaneMap, float]:
+    """Replay under a progress bar and write the lanes; the lanes, and the time it took in s."""
+    from geoorbit_ros.cli.console import make_progress
+    from geoorbit_ros.core.errors import NoTrafficError
+    from geoorbit_ros.lanes.geojson import read_lanes
+    from geoorbit_ros.nodes.support.bag_replay import replay_bag
+    from geoorbit_ros.storage.atomic import atomic_output
+
+    start = time.monotonic()
+    with atomic_output(out) as path:
+        with make_progress() as progress:
+            task = progress.add_task(f"replaying {request.bag}", total=frames)
+            text = replay_bag(request, lambda done: progress.update(task, completed=done))
+        path.write_text(text, encoding="utf-8")
+        lane_map = read_lanes(path)
+        if not lane_map.lanes:
+            found = f"{frames} frames, no vehicle driving along a lane"
+            raise NoTrafficError(str(request.bag), found, "vehicles driving by")
+    return lane_map, time.monotonic() - start

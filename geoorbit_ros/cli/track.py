@@ -57,19 +57,9 @@ def track(
     from geoorbit_ros.cli.inputs import parse_image_size
     from geoorbit_ros.core.errors import ParameterError
     from geoorbit_ros.storage.mot_text import read_mot_detections
-    from geoorbit_ros.tracking.parameters import TrackerParameters
-    from geoorbit_ros.tracking.tracker import Tracker
 
-    width, height = parse_image_size(image_size) if image_size else (0, 0)
-    tracker = Tracker(
-        TrackerParameters(
-            high_score=min_score,
-            birth_score=min_score,
-            max_gap_s=max_gap_s,
-            image_width=width,
-            image_height=height,
-        )
-    )
+    size = parse_image_size(image_size) if image_size else (0, 0)
+    tracker = _tracker(min_score, max_gap_s, size)
     if out.exists() and detections.exists() and out.samefile(detections):
         raise ParameterError("option --out", f"{out}, the input", "another path")
     with status(f"reading {detections}"):
@@ -81,6 +71,21 @@ def track(
         f"with {boxes} boxes; {counts.weak} were too weak."
     )
     console.print(f" Wrote {out}", soft_wrap=True)
+
+
+def _tracker(min_score: float, max_gap_s: float, image_size: tuple[int, int]) -> Tracker:
+    from geoorbit_ros.tracking.parameters import TrackerParameters
+    from geoorbit_ros.tracking.tracker import Tracker
+
+    return Tracker(
+        TrackerParameters(
+            high_score=min_score,
+            birth_score=min_score,
+            max_gap_s=max_gap_s,
+            image_width=image_size[0],
+            image_height=image_size[1],
+        )
+    )
 
 
 def _write(out: Path, table: MotTable, fps: float, tracker: Tracker) -> int:

@@ -1,14 +1,18 @@
-"""`geoorbit train`: a meta-learner from a population of cameras."""
+"""`geoorbit train` and `geoorbit evaluate`: a meta-learner from a population of cameras."""
 
 from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from geoorbit_ros.core.plugins import check_name, expected, registered
+
+if TYPE_CHECKING:
+    from geoorbit_ros.learning.study import Study
+    from geoorbit_ros.learning.training import Mode, RunSettings, TrainedModel
 
 
 class ModeName(StrEnum):
@@ -60,15 +64,11 @@ def train(
     Example: [bold]geoorbit train params/studies/small.yaml --rounds 20 --out study[/bold],
     then [bold]geoorbit evaluate --out study[/bold]
     """
-    from geoorbit_ros.cli.console import console, make_table, shown_progress
-    from geoorbit_ros.learning.study import open_study, train_study
+    from geoorbit_ros.cli.console import console
+    from geoorbit_ros.learning.study import open_study
     from geoorbit_ros.learning.training import RunSettings
 
-    names = estimator or list(registered("estimator"))
-    for name in names:
-        check_name("estimator", name)
-    check_name("strategy", strategy)
-    check_name("encoding", encoding)
+    names = _checked(estimator, strategy, encoding)
     study = open_study(out, population, workers)
     settings = RunSettings(
         rounds=rounds,
@@ -77,31 +77,91 @@ def train(
         strategy=strategy,
         encoding=encoding,
     )
-    table = make_table(
-        f"Population {study.population.name}",
-        "estimator|mode|>seed|>rounds|>L_param|>L_total|>kB|verdict",
-    )
+    modes: list[Mode] = [m.value for m in mode or list(ModeName)]
+    _train(study, names, modes, range(seeds), settings)
+    console.print(f" Wrote {out}; next: geoorbit evaluate --out {out}", soft_wrap=True)
+
+
+def _train(
+    study: Study, names: list[str], modes: list[Mode], seeds: range, settings: RunSettings
+) -> None:
+    """Train for each estimator, mode and seed, and print one row for each."""
+    from geoorbit_ros.cli.console import console, make_table, shown_progress
+    from geoorbit_ros.learning.study import train_study
+
+    title = f"Population {study.population.name}"
+    table = make_table(title, "estimator|mode|>seed|>rounds|>L_param|>L_total|>kB|verdict")
     for name in names:
         with shown_progress() as progress:
-            models = train_study(
-                study,
-                name,
-                [m.value for m in mode or list(ModeName)],
-                range(seeds),
-                settings,
-                progress,
-            )
+            models = train_study(study, name, modes, seeds, settings, progress)
         for (kind, seed), model in models.items():
-            first, last = model.rounds[0], model.rounds[-1]
-            table.add_row(
-                name,
-                kind,
-                str(seed),
-                str(last.number - 1),
-                f"{first.parameter_loss:.2f} → {last.parameter_loss:.2f}",
-                f"{first.composite_loss:.4g} → {last.composite_loss:.4g}",
-                f"{model.traffic.total_bytes / 1e3:.0f}" if model.traffic.total_bytes else "–",
-                "better" if model.verdict.accepted else "[yellow]no gain[/]",
-            )
+            table.add_row(name, kind, str(seed), *_model_row(model))
     console.print(table)
-    console.print(f" Wrote {out}; next: geoorbit evaluate --out {out}", soft_wrap=True)
+
+
+def _checked(estimators: list[str] | None, strategy: str, encoding: str) -> list[str]:
+    """Names of the estimators to train for.
+
+    Raises:
+        ParameterError: A name that isn't registered.
+    """
+    names = estimators or list(registered("estimator"))
+    for name in names:
+        check_name("estimator", name)
+    check_name("strategy", strategy)
+    check_name("encoding", encoding)
+    return names
+
+
+def _model_row(model: TrainedModel) -> list[str]:
+    """Rounds, losses at the beginning and the end, bytes, and the validation's verdict."""
+    first, last = model.rounds[0], model.rounds[-1]
+    return [
+        str(last.number - 1),
+        f"{first.parameter_loss:.2f} → {last.parameter_loss:.2f}",
+        f"{first.composite_loss:.4g} → {last.composite_loss:.4g}",
+        f"{model.traffic.total_bytes / 1e3:.0f}" if model.traffic.total_bytes else "–",
+        "better" if model.verdict.accepted else "[yellow]no gain[/]",
+    ]
+
+
+def evaluate(
+    out: Annotated[Path, typer.Option(help="The folder that geoorbit train has filled.")],
+    workers: Annotated[int, typer.Option(min=1, max=1024, help="Processes.")] = 2,
+) -> None:
+    """Measure the fixed parameters and the trained models on seen and unseen cameras.
+
+    Into OUT/evaluation go the paper's tables of losses and of communication, the errors against the
+    true lanes, and the loss figures: tables.md, CSV files and figures.
+
+    Example: [bold]geoorbit evaluate --out study[/bold]
+    """
+    from geoorbit_ros.cli.console import console, make_table, shown_progress
+    from geoorbit_ros.core.errors import InputFileError
+    from geoorbit_ros.core.plugins import registered
+    from geoorbit_ros.learning import study_report as study_tables
+    from geoorbit_ros.learning.evaluation import evaluate as measure
+    from geoorbit_ros.learning.study import open_study
+    from geoorbit_ros.learning.study_report import draw_losses
+
+    study = open_study(out, workers=workers)
+    folder = out / "evaluation"
+    trained = [name for name in registered("estimator") if (out / name).is_dir()]
+    if not trained:
+        raise InputFileError(str(out), "no trained model", "geoorbit train first")
+    tables = {}
+    for name in trained:
+        with shown_progress() as progress:
+            rows = measure(study, name, progress)
+        tables[f"losses-{name}"] = study_tables.loss_table(rows, name)
+        tables[f"errors-{name}"] = study_tables.error_table(rows, name)
+        tables[f"recordings-{name}"] = study_tables.recording_table(rows, name)
+        tables[f"communication-{name}"] = study_tables.communication_table(study, name)
+        draw_losses(study, name, folder)
+        losses = tables[f"losses-{name}"]
+        shown = make_table(losses.title, "|".join(losses.header[:2] + losses.header[6:]))
+        for row in losses.rows:
+            shown.add_row(*row[:2], *row[6:])
+        console.print(shown)
+    study_tables.write_tables(tables, folder)
+    console.print(f" Wrote {folder}", soft_wrap=True)

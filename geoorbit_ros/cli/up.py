@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from geoorbit_ros.fleet.plan import ProcessPlan
 
 STEP_S = 0.2
+"""Longest time between two looks at the processes. Chosen: larger, Ctrl-C takes longer."""
 
 
 def up(
@@ -43,12 +44,10 @@ def up(
 
     Example: [bold]geoorbit up demo[/bold]
     """
-    from geoorbit_ros.cli.console import console, status
-    from geoorbit_ros.cli.signals import told_to_end
+    from geoorbit_ros.cli.console import status
     from geoorbit_ros.fleet.fleet_file import load_fleet
     from geoorbit_ros.fleet.plan import plan_fleet, select
     from geoorbit_ros.fleet.prepare import prepare
-    from geoorbit_ros.fleet.supervisor import Supervisor
 
     content, file = load_fleet(fleet)
     folder = (out or Path("out") / content.name).absolute()
@@ -59,18 +58,31 @@ def up(
         return
     with status("looking at the cameras"):
         plans = prepare(content, base, folder, only or [])
+    _watch(fleet, content, plans, folder, duration_s)
+
+
+def _watch(
+    name: str, fleet: Fleet, plans: Sequence[ProcessPlan], folder: Path, duration_s: float | None
+) -> None:
+    """Keep the processes running until Ctrl-C, or for `duration_s`."""
+    from geoorbit_ros.cli.console import console
+    from geoorbit_ros.cli.signals import told_to_end
+    from geoorbit_ros.fleet.supervisor import Supervisor
+
     began = time.monotonic()
 
-    def say(name: str, text: str) -> None:
-        console.print(f"[dim]{time.monotonic() - began:7.1f} s[/dim]  [bold]{name}[/bold]  {text}")
+    def say(process: str, text: str) -> None:
+        console.print(
+            f"[dim]{time.monotonic() - began:7.1f} s[/dim]  [bold]{process}[/bold]  {text}"
+        )
 
     environment = {}
-    if content.domain_id is not None:
-        environment["ROS_DOMAIN_ID"] = str(content.domain_id)
+    if fleet.domain_id is not None:
+        environment["ROS_DOMAIN_ID"] = str(fleet.domain_id)
     supervisor = Supervisor(plans, folder, environment, say)
     domain = environment.get("ROS_DOMAIN_ID") or os.environ.get("ROS_DOMAIN_ID", "0")
-    console.print(f"Fleet {content.name}: {len(plans)} processes, ROS domain {domain}, logs in")
-    console.print(f"{folder / 'logs'}. Ctrl-C ends it; `geoorbit status {fleet}` shows it.")
+    console.print(f"Fleet {fleet.name}: {len(plans)} processes, ROS domain {domain}, logs in")
+    console.print(f"{folder / 'logs'}. Ctrl-C ends it; `geoorbit status {name}` shows it.")
     announced = False
     with told_to_end() as end:
         try:

@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 
 from geoorbit_ros.core.errors import InputFileError, ParameterError
 from geoorbit_ros.core.resources import share_path
-from geoorbit_ros.parameters import load_schema, spec_by_name
+from geoorbit_ros.parameters import ParameterSpec, load_schema, spec_by_name
 from geoorbit_ros.storage.atomic import atomic_output
 from geoorbit_ros.storage.yaml_file import StrictModel, WrongValue, read_yaml
 
@@ -25,6 +25,8 @@ CAMERA_NODES = (
     *("homography", "lane_geometry", "recorder", "meta_client", "overlay"),
 )
 """Nodes in a camera's namespace, in the order in which data passes them."""
+NODES = (*CAMERA_NODES, "federated_server", "sumo_bridge", "carla_bridge")
+"""Nodes whose parameters a fleet file can set: those of cameras, then those of services."""
 
 
 def _node_schema(node: str) -> dict[str, Any]:
@@ -49,7 +51,10 @@ Identifier = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 Value = bool | int | float | str
 Overrides = Annotated[
     dict[str, dict[str, Value]],
-    Field(description="Parameters by node, see docs/ros.md.", json_schema_extra=_add_overrides),
+    Field(
+        description="Parameters by node; `geoorbit fleet parameters` lists them.",
+        json_schema_extra=_add_overrides,
+    ),
 ]
 Pixels = Annotated[int, Field(ge=16, le=16384)]
 
@@ -221,6 +226,17 @@ class Fleet(StrictModel):
         if self.carla and self.carla.enabled and not (self.twin and self.twin.enabled):
             raise WrongValue(("carla",), "no twin beside it", "a twin, whose vehicles CARLA shows")
         return self
+
+
+def node_parameters(node: str) -> tuple[ParameterSpec, ...]:
+    """The parameters of a node that a fleet file can name.
+
+    Raises:
+        ParameterError: No such node.
+    """
+    if node not in NODES:
+        raise ParameterError("node", f"'{node}'", f"one of {', '.join(NODES)}")
+    return load_schema(node)
 
 
 def check_overrides(overrides: Mapping[str, Mapping[str, Value]], nodes: tuple[str, ...]) -> None:

@@ -11,7 +11,15 @@ from geoorbit_ros.cli.inputs import DatumOption, ImageSizeOption
 from geoorbit_ros.cli.twin.replay import BagsArgument, CalibrationsOption, NetOption, open_streams
 
 if TYPE_CHECKING:
+    from geoorbit_ros.roadnet.network import RoadNetwork
+    from geoorbit_ros.twin.forecast.files import ForecastStart
+    from geoorbit_ros.twin.forecast.observed_traffic import Demand
     from geoorbit_ros.twin.forecast.runs import Forecast
+    from geoorbit_ros.twin.placement import TwinStep
+    from geoorbit_ros.twin.replay import TrackStream
+
+WHOLE_RECORDING_S = 1e6
+"""A window longer than any recording: all of it counts."""
 
 
 def forecast(
@@ -44,61 +52,82 @@ def forecast(
     Example: [bold]geoorbit twin forecast north_bag --net area/network.net.xml --calibration
     north.csv --close-lane east_0 --speed-limit east=60 --out ahead[/bold]
     """
-    import json
-
     from geoorbit_ros.cli.console import console, say, status
-    from geoorbit_ros.core.errors import NoTrafficError
     from geoorbit_ros.roadnet.network import load_network
     from geoorbit_ros.storage.atomic import atomic_output
-    from geoorbit_ros.twin.figures import save_forecast_figure
     from geoorbit_ros.twin.forecast.files import ForecastStart
-    from geoorbit_ros.twin.forecast.observed_traffic import ObservedTraffic
     from geoorbit_ros.twin.forecast.runs import ForecastRun
-    from geoorbit_ros.twin.replay import STEP_S, replay_tracks
     from geoorbit_ros.twin.scenario import parse_scenario
-    from geoorbit_ros.twin.sumo_simulation import SumoSimulation
 
     with atomic_output(out) as folder:
         streams = open_streams(bags, calibration, image_size, datum)
         network = load_network(net, streams[0].datum)
         place = "options --close-lane, --speed-limit"
         scenario = parse_scenario(close_lane or (), speed_limit or (), network, place)
-        traffic = ObservedTraffic(network, float("1e6"))
-        simulation = SumoSimulation(net, STEP_S)
-        try:
-            replay_tracks(network, simulation, streams, traffic.add)
-        finally:
-            simulation.close()
-        demand = traffic.demand()
-        if demand is None or traffic.last is None:
-            found = "too little traffic to know its flows"
-            raise NoTrafficError(str(net), found, "a longer recording on this network's lanes")
-        start = ForecastStart(traffic.last, demand, 60.0 * minutes, seed)
+        step, demand = _observe(streams, network, net)
+        start = ForecastStart(step, demand, 60.0 * minutes, seed)
         run = ForecastRun(network, start, scenario, limit_s)
         try:
             with status(f"{minutes:g} minutes ahead"):
-                found_all = run.wait()
+                forecasts = run.wait()
         finally:
             run.close()
-        folder.mkdir()
-        values = {
-            "observed_s": demand.time_s,
-            "observed_flow_per_h": demand.edge_flow_per_h,
-            "horizon_s": start.horizon_s,
-            "forecasts": [one.values() for one in found_all],
-        }
-        text = json.dumps(values, indent=2, allow_nan=False)
-        (folder / "forecast.json").write_text(text + "\n", encoding="utf-8")
-        save_forecast_figure(folder / "forecast.png", network, found_all)
-    _print(found_all)
+        _write(folder, start, network, forecasts)
+    _print(forecasts)
     flows = ", ".join(f"{edge} {flow:.0f}" for edge, flow in demand.edge_flow_per_h.items())
     say(f"Seen in {demand.time_s:.0f} s, vehicles per hour: {flows}.")
-    for one in found_all:
+    for one in forecasts:
         say(
             f"{one.scenario.capitalize()} ({one.changes}): {one.left_per_h:.0f} vehicles per hour "
             f"get through; {one.waiting} found no room to enter."
         )
     console.print(f" Wrote {out}", soft_wrap=True)
+
+
+def _observe(
+    streams: list[TrackStream], network: RoadNetwork, net: Path
+) -> tuple[TwinStep, Demand]:
+    """The vehicles at the recordings' end, and the traffic that they show.
+
+    Raises:
+        NoTrafficError: Too little of it.
+    """
+    from geoorbit_ros.core.errors import NoTrafficError
+    from geoorbit_ros.twin.forecast.observed_traffic import ObservedTraffic
+    from geoorbit_ros.twin.replay import STEP_S, replay_tracks
+    from geoorbit_ros.twin.sumo_simulation import SumoSimulation
+
+    traffic = ObservedTraffic(network, WHOLE_RECORDING_S)
+    simulation = SumoSimulation(net, STEP_S)
+    try:
+        replay_tracks(network, simulation, streams, traffic.add)
+    finally:
+        simulation.close()
+    demand = traffic.demand()
+    if demand is None or traffic.last is None:
+        found = "too little traffic to know its flows"
+        raise NoTrafficError(str(net), found, "a longer recording on this network's lanes")
+    return traffic.last, demand
+
+
+def _write(
+    folder: Path, start: ForecastStart, network: RoadNetwork, forecasts: list[Forecast]
+) -> None:
+    """Write forecast.json and forecast.png into a new folder."""
+    import json
+
+    from geoorbit_ros.twin.figures import save_forecast_figure
+
+    folder.mkdir()
+    values = {
+        "observed_s": start.demand.time_s,
+        "observed_flow_per_h": start.demand.edge_flow_per_h,
+        "horizon_s": start.horizon_s,
+        "forecasts": [one.values() for one in forecasts],
+    }
+    text = json.dumps(values, indent=2, allow_nan=False)
+    (folder / "forecast.json").write_text(text + "\n", encoding="utf-8")
+    save_forecast_figure(folder / "forecast.png", network, forecasts)
 
 
 def _print(forecasts: list[Forecast]) -> None:

@@ -1,23 +1,23 @@
-"""`geoorbit twin`: the SUMO twin of the road."""
+"""`geoorbit twin replay` and `geoorbit twin routes`: recorded tracks in a SUMO network."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from geoorbit_ros.cli.inputs import DatumOption, ImageSizeOption
-from geoorbit_ros.cli.twin import map_check as twin_map
 
 if TYPE_CHECKING:
+    from geoorbit_ros.cli.twin.side_by_side import BusiestStep
+    from geoorbit_ros.mapcheck.driven_lanes import DrivenNetwork
     from geoorbit_ros.mapcheck.map_watch import MapCheck
     from geoorbit_ros.roadnet.network import RoadNetwork
+    from geoorbit_ros.twin.figures import VehiclePaths
+    from geoorbit_ros.twin.placement import TwinStep
     from geoorbit_ros.twin.replay import ReplayScore, TrackStream
-
-app = typer.Typer(help="The road's digital twin in SUMO.", no_args_is_help=True)
-app.command("validate")(twin_map.validate)
-app.command("patch")(twin_map.patch)
 
 BagsArgument = Annotated[
     list[Path], typer.Argument(help="Tracked boxes: one rosbag2 bag with tracks_px per camera.")
@@ -34,7 +34,6 @@ StepOption = Annotated[
 ]
 
 
-@app.command("replay")
 def replay(
     bags: BagsArgument,
     net: NetOption,
@@ -53,7 +52,7 @@ def replay(
     ] = True,
     video: Annotated[
         Path | None,
-        typer.Option("--video", help="The first bag's film, for the picture side by side."),
+        typer.Option("--video", help="The first bag's video, for its side-by-side image."),
     ] = None,
 ) -> None:
     """Let the recorded vehicles drive through a SUMO network, and say how well it followed.
@@ -64,18 +63,12 @@ def replay(
     Example: [bold]geoorbit twin replay north_bag --net area/network.net.xml
     --calibration north.csv --out twin[/bold]
     """
-    import json
-
     from geoorbit_ros.cli.console import console, say
     from geoorbit_ros.cli.inputs import parse_image_size
-    from geoorbit_ros.cli.twin.side_by_side import BusiestStep, save_side_by_side
-    from geoorbit_ros.core.errors import GeoOrbitError
+    from geoorbit_ros.cli.twin.side_by_side import save_all_side_by_side
     from geoorbit_ros.roadnet.network import load_network
     from geoorbit_ros.storage.atomic import atomic_output
-    from geoorbit_ros.twin.figures import VehiclePaths, save_twin_figure
-    from geoorbit_ros.twin.placement import TwinStep
-    from geoorbit_ros.twin.replay import StateWriter, replay_tracks
-    from geoorbit_ros.twin.sumo_simulation import SumoSimulation
+    from geoorbit_ros.twin.figures import save_twin_figure
 
     with atomic_output(out) as folder:
         streams = open_streams(bags, calibration, image_size, datum)
@@ -84,44 +77,70 @@ def replay(
         if align:
             streams, check, said = align_streams(streams, network)
             driven = check.driven
-        simulation = SumoSimulation(net, step_s)
         folder.mkdir()
-        ways, busiest = VehiclePaths(), BusiestStep()
-        try:
-            with StateWriter(folder / "vehicles.csv", network) as states:
-
-                def take(step: TwinStep) -> None:
-                    states.write(step)
-                    ways.add(step.xy, step.lane)
-                    busiest.add(step)
-
-                score = replay_tracks(network, simulation, streams, take, step_s, driven=driven)
-        finally:
-            simulation.close()
-        _check_traffic(score, str(net))
-        aligned = {s.camera: s.alignment.values() for s in streams if s.alignment is not None}
-        moved = round(driven.largest_m, 3) if driven else 0.0
-        record = score.values() | {"aligned": aligned, "lanes_moved_m": moved}
-        text = json.dumps(record, indent=2)
-        (folder / "score.json").write_text(text + "\n", encoding="utf-8")
-        title = f"{score.vehicles} vehicles in {score.health.steps * step_s:.0f} s on {net.name}"
-        save_twin_figure(folder / "twin.png", network, ways, title)
+        run = _drive(streams, network, step_s, folder / "vehicles.csv", driven)
+        _check_traffic(run.score, str(net))
+        _write_score(folder / "score.json", run.score, streams, driven)
+        seconds = run.score.health.steps * step_s
+        title = f"{run.score.vehicles} vehicles in {seconds:.0f} s on {net.name}"
+        save_twin_figure(folder / "twin.png", network, run.paths, title)
         size = parse_image_size(image_size)
-        for stream, bag, points in zip(streams, bags, calibration, strict=True):
-            film = video if stream is streams[0] else None
-            if busiest.step is None:
-                break
-            try:
-                shown = save_side_by_side(
-                    folder, network, busiest.step, stream, bag, points, size, film
-                )
-            except GeoOrbitError as error:
-                shown = f"No picture side by side: {error}"
-            said.append(shown)
-    _print_score(score)
+        said += save_all_side_by_side(
+            folder, network, run.busiest.step, streams, bags, calibration, size, video
+        )
+    _print_score(run.score)
     for sentence in said:
         say(sentence)
     console.print(f" Wrote {out}", soft_wrap=True)
+
+
+@dataclass(frozen=True, slots=True)
+class _Drive:
+    """A recording that has been driven: its score, where vehicles went, its busiest step."""
+
+    score: ReplayScore
+    paths: VehiclePaths
+    busiest: BusiestStep
+
+
+def _drive(
+    streams: list[TrackStream],
+    network: RoadNetwork,
+    step_s: float,
+    states_file: Path,
+    driven: DrivenNetwork | None,
+) -> _Drive:
+    """Let the tracks drive through the network, and write every step's vehicles."""
+    from geoorbit_ros.cli.twin.side_by_side import BusiestStep
+    from geoorbit_ros.twin.figures import VehiclePaths
+    from geoorbit_ros.twin.replay import StateWriter, replay_tracks
+    from geoorbit_ros.twin.sumo_simulation import SumoSimulation
+
+    simulation = SumoSimulation(network.path, step_s)
+    paths, busiest = VehiclePaths(), BusiestStep()
+    try:
+        with StateWriter(states_file, network) as states:
+
+            def take(step: TwinStep) -> None:
+                states.write(step)
+                paths.add(step.xy, step.lane)
+                busiest.add(step)
+
+            score = replay_tracks(network, simulation, streams, take, step_s, driven=driven)
+    finally:
+        simulation.close()
+    return _Drive(score, paths, busiest)
+
+
+def _write_score(
+    file: Path, score: ReplayScore, streams: list[TrackStream], driven: DrivenNetwork | None
+) -> None:
+    import json
+
+    aligned = {s.camera: s.alignment.values() for s in streams if s.alignment is not None}
+    moved = round(driven.largest_m, 3) if driven else 0.0
+    record = score.values() | {"aligned": aligned, "lanes_moved_m": moved}
+    file.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
 
 
 def align_streams(
@@ -239,7 +258,6 @@ def _print_score(score: ReplayScore) -> None:
     )
 
 
-@app.command("routes")
 def routes(
     bags: BagsArgument,
     net: NetOption,

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+
+from geoorbit_ros.core.errors import GeoOrbitError
 
 if TYPE_CHECKING:
     from geoorbit_ros.roadnet.network import RoadNetwork
@@ -28,6 +31,42 @@ class BusiestStep:
             self.step, self._seen = step, seen
 
 
+def save_all_side_by_side(
+    folder: Path,
+    network: RoadNetwork,
+    step: TwinStep | None,
+    streams: Sequence[TrackStream],
+    bags: Sequence[Path],
+    calibrations: Sequence[Path],
+    image_size: tuple[int, int],
+    video: Path | None,
+) -> list[str]:
+    """Write every camera's image; what they show, or why there is none, in one sentence each.
+
+    Args:
+        folder: Where they go.
+        network: The roads.
+        step: The moment; None: no vehicle was ever seen, and nothing is written.
+        streams: Tracks, one per camera.
+        bags: The same cameras' boxes.
+        calibrations: Their control points.
+        image_size: Width and height of their images.
+        video: Of the first camera.
+    """
+    said: list[str] = []
+    for stream, bag, points in zip(streams, bags, calibrations, strict=True):
+        film = video if stream is streams[0] else None
+        if step is None:
+            break
+        try:
+            said.append(
+                save_side_by_side(folder, network, step, stream, bag, points, image_size, film)
+            )
+        except GeoOrbitError as error:
+            said.append(f"No side-by-side image: {error}")
+    return said
+
+
 def save_side_by_side(
     folder: Path,
     network: RoadNetwork,
@@ -38,7 +77,7 @@ def save_side_by_side(
     image_size: tuple[int, int],
     video: Path | None,
 ) -> str:
-    """Write one camera's picture; what it shows, in one sentence.
+    """Write one camera's image; what it shows, in one sentence.
 
     Args:
         folder: Where it goes.
@@ -48,7 +87,7 @@ def save_side_by_side(
         bag: Its boxes.
         calibration: Its control points.
         image_size: Width and height of its images.
-        video: Its film, which begins with the bag; None shows the boxes alone.
+        video: Its video, which begins with the bag; None shows the boxes alone.
 
     Raises:
         GeoOrbitError: The calibration leaves the camera's height open, or a file can't be read.
@@ -76,7 +115,7 @@ def save_side_by_side(
 
 
 def _image_at(video: Path, after_ns: int) -> NDArray[np.uint8] | None:
-    """The first image of a film that is not earlier than `after_ns` from its beginning."""
+    """The first image of a video that is not earlier than `after_ns` from its beginning."""
     from geoorbit_ros.storage.frames.open_source import open_frame_source
 
     begin_ns: int | None = None

@@ -19,11 +19,14 @@ from geoorbit_ros.nodes.support.composition import Composition
 from geoorbit_ros.nodes.support.qos import LATCHED_ALL
 
 START_TIMEOUT_S = 20.0
+"""For nodes to find each other, which takes a second on an idle machine. Chosen: larger, a graph
+that can't work is reported later; smaller, a busy machine fails."""
 STALL_TIMEOUT_S = 120.0
 """Longer than any single lane update takes."""
 WINDOW = 500
 """Frames under way at most: a tenth of what the middleware keeps for a reader."""
 LOSSLESS: dict[str, object] = {"reliability": "reliable", "queue_depth": 0}
+"""Parameters of nodes that keep every message."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +60,7 @@ class ReplayRequest:
     quiet: bool = True
 
 
-def replay(request: ReplayRequest, on_frames: Callable[[int], None] = lambda _: None) -> str:
+def replay_bag(request: ReplayRequest, on_frames: Callable[[int], None] = lambda _: None) -> str:
     """Replay without losing a frame; the lane map as the text of `lanes.geojson`.
 
     Args:
@@ -67,63 +70,81 @@ def replay(request: ReplayRequest, on_frames: Callable[[int], None] = lambda _: 
     Raises:
         GeoOrbitError: Input that can't be used, or nodes that don't get on within the time limits.
     """
-    topic, (width, height) = f"/{request.camera_id}/tracks_px", request.image_size
-    method = {"estimator": request.estimator, "update_period_s": request.update_period_s}
-    camera = {
-        "calibration_file": str(request.calibration),
-        "image_width": width,
-        "image_height": height,
-        "datum_latitude_deg": request.datum[0],
-        "datum_longitude_deg": request.datum[1],
-    }
-    recording = {"bag": str(request.bag), "topics": topic, "rate": request.rate}
-    with Composition(request.domain_id, quiet=request.quiet) as nodes:
-        camera_id = request.camera_id
-        lanes = nodes.make(LaneGeometryNode, camera_id, LOSSLESS | method)
-        readers: list[LaneGeometryNode | RecorderNode] = [lanes]
-        if request.database:
-            database = {"database": str(request.database)}
-            readers.append(nodes.make(RecorderNode, camera_id, LOSSLESS | database))
-        homography = nodes.make(HomographyNode, camera_id, LOSSLESS | camera)
-        held = LOSSLESS | recording | {"start_paused": True}
-        player = nodes.make(BagPlayerNode, camera_id, held)
-        asker = nodes.add(Node("replay", context=nodes.context, namespace=camera_id))
-        update = asker.create_client(Trigger, "lane_geometry/update")
-        maps: list[String] = []
-        asker.create_subscription(String, "lanes/geojson", maps.append, LATCHED_ALL)
-
-        def matched() -> bool:
-            return (
-                homography.tracks.get_subscription_count() == len(readers)
-                and player.topics[topic].get_subscription_count() == 1
-                and lanes.datum is not None
-                and bool(update.service_is_ready())
-            )
-
-        def under_way() -> int:
-            taken = min(reader.diagnostics.received for reader in readers)
-            behind = homography.diagnostics.published - taken
-            return player.diagnostics.published - homography.diagnostics.received + behind
+    with Composition(request.domain_id, quiet=request.quiet) as composition:
+        nodes = _Nodes(composition, request)
+        composition.wait(nodes.matched, START_TIMEOUT_S, "nodes that find each other")
+        nodes.player.may_send = lambda: WINDOW - nodes.under_way()
+        nodes.player.paused = False
 
         def through() -> bool:
-            on_frames(lanes.frames)
-            return player.finished and under_way() == 0
+            on_frames(nodes.lanes.frames)
+            return nodes.player.finished and nodes.under_way() == 0
 
-        nodes.wait(matched, START_TIMEOUT_S, "nodes that find each other")
-        player.may_send = lambda: WINDOW - under_way()
-        player.paused = False
-        nodes.wait(through, STALL_TIMEOUT_S, "frames that get through", lambda: lanes.frames)
-        for node in (homography, *readers):
+        what = "frames that get through"
+        composition.wait(through, STALL_TIMEOUT_S, what, lambda: nodes.lanes.frames)
+        for node in (nodes.homography, *nodes.readers):
             if node.diagnostics.last_refusal is not None:
                 raise node.diagnostics.last_refusal
-        answer = update.call_async(Trigger.Request())
-        nodes.wait(answer.done, STALL_TIMEOUT_S, "an answer of lane_geometry/update")
+        answer = nodes.update.call_async(Trigger.Request())
+        composition.wait(answer.done, STALL_TIMEOUT_S, "an answer of lane_geometry/update")
         if not answer.result().success:
             raise NoTrafficError(str(request.bag), answer.result().message, "frames")
-        count = lanes.diagnostics.published
-        nodes.wait(
-            lambda: len(maps) == count == min(reader.lane_maps for reader in readers),
+        count, maps = nodes.lanes.diagnostics.published, nodes.maps
+        composition.wait(
+            lambda: len(maps) == count == min(reader.lane_maps for reader in nodes.readers),
             START_TIMEOUT_S,
             f"{count} maps on lanes/geojson",
         )
         return str(maps[-1].data)
+
+
+class _Nodes:
+    """The nodes of a replay, and how far its frames are.
+
+    Attributes:
+        player, homography, lanes: In the order in which frames pass them.
+        readers: The nodes that read tracks: `lanes` and, where one is asked for, a recorder.
+        update: Client of the service that derives the last map.
+        maps: What came on `lanes/geojson`.
+    """
+
+    def __init__(self, composition: Composition, request: ReplayRequest) -> None:
+        width, height = request.image_size
+        method = {"estimator": request.estimator, "update_period_s": request.update_period_s}
+        camera = {
+            "calibration_file": str(request.calibration),
+            "image_width": width,
+            "image_height": height,
+            "datum_latitude_deg": request.datum[0],
+            "datum_longitude_deg": request.datum[1],
+        }
+        self._topic = f"/{request.camera_id}/tracks_px"
+        recording = {"bag": str(request.bag), "topics": self._topic, "rate": request.rate}
+        make, camera_id = composition.make, request.camera_id
+        self.lanes = make(LaneGeometryNode, camera_id, LOSSLESS | method)
+        self.readers: list[LaneGeometryNode | RecorderNode] = [self.lanes]
+        if request.database:
+            database = {"database": str(request.database)}
+            self.readers.append(make(RecorderNode, camera_id, LOSSLESS | database))
+        self.homography = make(HomographyNode, camera_id, LOSSLESS | camera)
+        held = LOSSLESS | recording | {"start_paused": True}
+        self.player = make(BagPlayerNode, camera_id, held)
+        asker = composition.add(Node("replay", context=composition.context, namespace=camera_id))
+        self.update = asker.create_client(Trigger, "lane_geometry/update")
+        self.maps: list[String] = []
+        asker.create_subscription(String, "lanes/geojson", self.maps.append, LATCHED_ALL)
+
+    def matched(self) -> bool:
+        """Whether every node has found those that it works with."""
+        return (
+            self.homography.tracks.get_subscription_count() == len(self.readers)
+            and self.player.topics[self._topic].get_subscription_count() == 1
+            and self.lanes.datum is not None
+            and bool(self.update.service_is_ready())
+        )
+
+    def under_way(self) -> int:
+        """Frames that were played and have not been taken by every reader."""
+        taken = min(reader.diagnostics.received for reader in self.readers)
+        behind = self.homography.diagnostics.published - taken
+        return self.player.diagnostics.published - self.homography.diagnostics.received + behind

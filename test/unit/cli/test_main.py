@@ -15,12 +15,14 @@ from geoorbit_ros.cli import main as cli
 from geoorbit_ros.cli.lanes import lanes
 from geoorbit_ros.cli.report import report
 from geoorbit_ros.core.errors import InputFileError
+from geoorbit_ros.fleet.fleet_file import NODES
 from geoorbit_ros.lanes.mapping.mapper import DEFAULT_UPDATE_PERIOD_S
+from geoorbit_ros.parameters import load_schema
 
 COMMANDS = (
     *("demo", "lanes", "process", "replay", "detect", "track", "score", "report", "train"),
     *("evaluate", "export", "up", "status", "view", "scene", "camera", "bag", "db", "map", "twin"),
-    "federation",
+    *("federation", "fleet"),
 )
 
 
@@ -113,3 +115,26 @@ def test_ctrl_c_ends_quietly_with_130() -> None:
 def test_unknown_options_are_usage_errors(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["score", "--colour"]) == 2
     assert "--colour" in capsys.readouterr().err
+
+
+def test_the_parameters_of_a_node_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["fleet", "parameters", "tracker"]) == 0
+    said = capsys.readouterr().out
+    for spec in load_schema("tracker"):
+        assert spec.name in said
+
+
+def test_the_parameters_of_every_node_of_a_fleet_are_listed(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert cli.main(["fleet", "parameters"]) == 0
+    said = capsys.readouterr().out
+    for node in NODES:
+        assert node in said
+
+
+def test_parameters_of_an_unknown_node_are_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["fleet", "parameters", "trackers"]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("geoorbit: node: found 'trackers', expected one of bag_player, ")
+    assert said.count("\n") == 1
