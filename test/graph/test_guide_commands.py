@@ -58,7 +58,6 @@ GIVEN = {
     "docs/tracking.md": [FILM, "detect out/film/video.mp4 --out det.txt"],
     "docs/ros.md": [SCENE + " --camera-id north", RECORD],
     "docs/twin.md": [SCENE, LANES],
-    "docs/guide-extend.md": [SCENE, FILM],
 }  # fmt: skip
 """What a page says that its reader has."""
 
