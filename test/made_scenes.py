@@ -12,13 +12,13 @@ from geoorbit_ros.scenes.camera import PinholeCamera, look_at
 from geoorbit_ros.scenes.detector_model import View
 from geoorbit_ros.scenes.road_plan import Road, Start
 from geoorbit_ros.scenes.roads import place_roads
-from geoorbit_ros.scenes.scene import Detector, Scene, load_scene
+from geoorbit_ros.scenes.scene import DetectorFaults, Scene, load_scene
 from geoorbit_ros.scenes.simulate import SceneRun, simulate
 from geoorbit_ros.scenes.truth import visible_lanes
 
 Array = NDArray[np.float64]
 
-FAULTLESS = Detector(
+FAULTLESS = DetectorFaults(
     edge_noise_px=0.0,
     edge_noise_share=0.0,
     miss_rate=0.0,

@@ -1,4 +1,4 @@
-"""Light and weather that a image is taken in."""
+"""Light and weather that an image is taken in."""
 
 from __future__ import annotations
 

@@ -102,7 +102,7 @@ class Lamps:
         return found
 
     def draw(self, image: NDArray[np.uint8], glares: list[Glare]) -> None:
-        """Add lamps to a image (H, W, 3)."""
+        """Add lamps to an image (H, W, 3)."""
         height, width = image.shape[:2]
         for glare in glares:
             sprite = self._sprite(glare)
@@ -169,7 +169,7 @@ class LightPools:
         self._pool = _pool_texture()
 
     def light_road(self, image: NDArray[np.uint8], bodies: list[Body]) -> None:
-        """Add the pools of light ahead of the vehicles to a image (H, W, 3)."""
+        """Add the pools of light ahead of the vehicles to an image (H, W, 3)."""
         if not bodies:
             return
         width, height = self._size

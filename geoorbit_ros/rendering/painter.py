@@ -167,7 +167,7 @@ class Painter:
         ]
 
     def paint(self, image: NDArray[np.uint8], body: Body) -> None:
-        """Draw a vehicle over a image (H, W, 3)."""
+        """Draw a vehicle over an image (H, W, 3)."""
         height, width = image.shape[:2]
         left, top = max(int(body.box[0]) - 2, 0), max(int(body.box[1]) - 2, 0)
         right, bottom = min(int(body.box[2]) + 2, width), min(int(body.box[3]) + 2, height)

@@ -20,7 +20,7 @@ from geoorbit_ros.scenes.road_plan import LaneRef
 from geoorbit_ros.scenes.roads import PlacedRoad, successors
 
 Roads = Mapping[str, PlacedRoad] | Sequence[Lane]
-"""What a image can be made of: a scene's placed roads, or lanes alone."""
+"""What an image can be made of: a scene's placed roads, or lanes alone."""
 
 SHOULDER_M = 2.2
 """Paved shoulder right of a motorway. Chosen: usual is 2 to 3 m."""
@@ -51,7 +51,7 @@ STEP_M = 2.0
 
 
 def surface_of(roads: Roads) -> RoadSurface:
-    """The surface of either."""
+    """The surface of placed roads, or of lanes."""
     return _road_surface(dict(roads)) if isinstance(roads, Mapping) else _lane_surface(roads)
 
 

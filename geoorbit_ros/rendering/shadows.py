@@ -53,7 +53,7 @@ class Shadows:
         self._sunny = bool(missing.max() > 0.15)
 
     def darken(self, image: NDArray[np.uint8], bodies: list[Body], sunshine: float) -> None:
-        """Darken the ground in a image (H, W, 3); `sunshine` 0 to 1: how much the sun is out."""
+        """Darken the ground in an image (H, W, 3); `sunshine` 0 to 1: how much the sun is out."""
         if not bodies:
             return
         width, height = self._size

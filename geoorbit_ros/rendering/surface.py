@@ -32,7 +32,7 @@ class Strip:
 
 @dataclass(slots=True)
 class RoadSurface:
-    """Everything flat.
+    """All that lies flat on the ground.
 
     Attributes:
         paved: Asphalt, shoulders included.

@@ -49,7 +49,7 @@ def add_trees(
     pavement: NDArray[np.float32],
     seed: int,
 ) -> NDArray[np.float32]:
-    """Draw trees into a image (H, W, 3), the farthest first.
+    """Draw trees into an image (H, W, 3), the farthest first.
 
     A tree is left out when it would cover the road or the space that vehicles take up above it:
     the true boxes then need not know of trees.
@@ -220,7 +220,7 @@ def _grain(
 def add_skyline(
     image: NDArray[np.float32], camera: PinholeCamera, light: Illumination, seed: int
 ) -> None:
-    """Draw a wood across the horizon into a image (H, W, 3)."""
+    """Draw a wood across the horizon into an image (H, W, 3)."""
     width, height = camera.image_size
     column = np.arange(width, dtype=np.float64) + 0.5
     base, top = (_row_at(camera, column, z) for z in (0.0, 1.0))

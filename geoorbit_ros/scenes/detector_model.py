@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.core.tables import FLAG_TRUNCATED, PIXEL_TRACK_DTYPE
 from geoorbit_ros.scenes.camera import PinholeCamera, body_corners
-from geoorbit_ros.scenes.scene import Detector
+from geoorbit_ros.scenes.scene import DetectorFaults
 
 GAP_S = 0.5
 """A tracker that loses a vehicle for longer gives it a new id. Chosen: less than this package's
@@ -80,7 +80,7 @@ def true_boxes(camera: PinholeCamera, view: View, min_height_px: float) -> NDArr
 class DetectorModel:
     """Turns views into `tracks_px` rows, frame by frame."""
 
-    def __init__(self, camera: PinholeCamera, faults: Detector, seed: int) -> None:
+    def __init__(self, camera: PinholeCamera, faults: DetectorFaults, seed: int) -> None:
         self._camera = camera
         self._faults = faults
         self._random = np.random.default_rng([seed, 2])

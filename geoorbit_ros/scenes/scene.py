@@ -128,7 +128,7 @@ class Camera(StrictModel):
     fps: float = Field(default=15.0, ge=1.0, le=60.0)
 
 
-class Detector(StrictModel):
+class DetectorFaults(StrictModel):
     """Faults of the imagined detector and tracker.
 
     Attributes:
@@ -164,7 +164,7 @@ class Scene(StrictModel):
     roads: list[Road] = Field(min_length=1)
     traffic: Traffic
     camera: Camera
-    detector: Detector = Detector()
+    detector: DetectorFaults = DetectorFaults()
 
     @model_validator(mode="after")
     def _consistent(self) -> Scene:

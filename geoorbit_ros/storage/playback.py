@@ -1,4 +1,4 @@
-"""When each message of a recording is due, at any speed; the caller tells the time."""
+"""When each message of a recording is due, at any speed; the caller passes the time."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ least contrast; smaller takes time in every frame."""
 
 
 class RoadBackground:
-    """What each pixel shows when no vehicle is there, and how much it wavers.
+    """What each pixel shows when no vehicle is there, and how much it varies.
 
     A running mean where the road is free; corrected wherever it disagrees with the most usual value
     in images of the last minutes, so that a vehicle of the first image leaves
@@ -64,11 +64,11 @@ class RoadBackground:
 
     @property
     def ready(self) -> bool:
-        """Whether enough images were seen to know the road."""
+        """Whether enough images were seen for the road to be known."""
         return len(self.image) > 0
 
     def sample(self, stamp_ns: int, image: Image) -> None:
-        """Keep this image for the most usual value if it's time to, and work on that."""
+        """Keep this image as a sample if one is due, and do a part of the work on the samples."""
         if self._samples.due(stamp_ns):
             # All in the same light, so that clouds don't make two roads of one.
             light = _ratio(_grid(image), self._reference) if self.ready else np.ones(3)
@@ -84,7 +84,7 @@ class RoadBackground:
             self.restart(first[: image.shape[0], : image.shape[1]])
 
     def rewind(self) -> None:
-        """Take the next stamp as it comes, be it earlier than the last; the road stays known."""
+        """Accept an earlier stamp next; the road stays known."""
         self._samples.rewind()
         self._followed_ns = [None] * STRIPS
 
@@ -118,7 +118,7 @@ class RoadBackground:
         return np.asarray(some, dtype=np.uint8)
 
     def follow(self, stamp_ns: int, image: Image, moving: NDArray[np.uint8]) -> None:
-        """Let the road follow the light where nothing moves; after `moving` of this image."""
+        """Let the road follow the light where nothing moves; call `moving` before this."""
         self._samples.notice(moving)
         edges = np.linspace(0, len(image), STRIPS + 1).astype(int).tolist()
         for k, (a, b) in enumerate(pairwise(edges)):

@@ -1,4 +1,4 @@
-"""Images kept over some time, and what they show most of the time where something moves."""
+"""Sample images, and the most usual value of each pixel in them: the road between vehicles."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ class UsualCells:
 
 
 class RoadSamples:
-    """Keeps a few images, ever farther apart until they span a minute and a half.
+    """Keeps a few images, farther and farther apart until they span 100 s.
 
     Where nothing ever moved a running mean knows the road: only cells in which something did are
     worked on.
@@ -115,12 +115,12 @@ class RoadSamples:
         self._last_ns: int | None = None
 
     def due(self, stamp_ns: int) -> bool:
-        """Whether it is time to keep a image."""
+        """Whether it is time to keep an image."""
         last = self._stamps[-1] if self._stamps else None
         return last is None or not 0 <= stamp_ns - last < self._spacing_s() * 1e9
 
     def keep(self, stamp_ns: int, image: Image) -> None:
-        """Keep a image (H, W, 3), in the same light as those before."""
+        """Keep an image (H, W, 3), in the same light as those before."""
         stamps = self._stamps
         if stamps and stamp_ns < stamps[-1]:  # a source that started again
             stamps[:] = [stamp - stamps[-1] + stamp_ns - 1 for stamp in stamps]
@@ -146,7 +146,7 @@ class RoadSamples:
         return most_usual(self._images) if len(self._images) >= MIN_SAMPLES else None
 
     def work(self, stamp_ns: int) -> UsualCells | None:
-        """The next few cells, if there is something to do; called once for each image."""
+        """Most usual values of the next few cells, if any are due; call it once for each image."""
         last_ns, self._last_ns = self._last_ns, stamp_ns
         if not len(self._waiting) or len(self._images) < MIN_SAMPLES:
             return None
@@ -163,7 +163,7 @@ class RoadSamples:
         return UsualCells(row, column, values)
 
     def rewind(self) -> None:
-        """Take the next stamp as it comes, be it earlier than the last."""
+        """Accept an earlier stamp next."""
         if self._stamps:
             back_ns = self._stamps[-1]
             self._stamps = [stamp_ns - back_ns for stamp_ns in self._stamps]

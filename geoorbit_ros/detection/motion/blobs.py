@@ -180,7 +180,7 @@ def _explained(
     outlines: VehicleOutlines,
     axes: RoadAxes,
 ) -> list[Vehicle]:
-    """One vehicle of unusual size, or some of usual ones: whichever looks more like the blob."""
+    """One vehicle of unusual size, or several of usual ones: what looks more like the blob."""
     corner = blob.left, blob.top
     one = misfit_of_one(blob.pixels, corner, extent, outlines)
     search = None
@@ -204,7 +204,7 @@ def _holds_lorry(blob: Blob, extent: Box, sizes: VehicleSizes) -> bool:
 
 
 def _extent(blob: Blob) -> Box | None:
-    """Box of the pixels, but for rows and columns with a stray one."""
+    """Box of the pixels; an outer row or column with a single pixel is left out."""
     columns, rows = blob.pixels.sum(axis=0), blob.pixels.sum(axis=1)
     across = np.flatnonzero(columns >= min(2, int(columns.max())))
     down = np.flatnonzero(rows >= min(2, int(rows.max())))
@@ -262,7 +262,7 @@ def _fill(blob: Blob) -> float:
 
 
 def _closed(blob: Blob, sizes: VehicleSizes) -> Blob:
-    """Gaps closed that are small beside a car."""
+    """The blob with gaps closed that are small relative to a car."""
     height, width = blob.pixels.shape
     bottom = np.array([float(blob.top + height)])
     car = sizes.at(np.array([blob.left + 0.5 * width]), bottom)[0, 1]

@@ -1,4 +1,4 @@
-"""Where a lorry is that is longer than any usual size: its outline is a car's drawn along the road.
+"""Long lorries: their outline is that of a car, drawn out along the road.
 
 A lorry is wider than a car, higher, and several cars long. At its place it stands as cars do, so
 its outline spans from that of its front to that of its rear end, each as large as the place says.
@@ -143,7 +143,7 @@ class LorrySearch:
         yield first, height + 1
 
     def _outlines(self, foot: NDArray[np.float64], car: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(K, N, 2) those of lorries of all sizes whose near end stands there, long ones first."""
+        """(K, N, 2) outlines of lorries of all sizes with their near end there, long ones first."""
         along = np.array(self.along)
         step = float((car / np.maximum(np.abs(along), 1e-3)).min())
         shifts = np.outer(LENGTHS, step * along)
@@ -167,7 +167,7 @@ def lorry_search(
     outlines: VehicleOutlines,
     axes: RoadAxes,
 ) -> LorrySearch | None:
-    """A search for lorries in a blob that ends at this box; None where the road isn't known.
+    """A search for lorries in a blob with this box; None where the road's direction isn't known.
 
     Args:
         box: Left, top, right, bottom.

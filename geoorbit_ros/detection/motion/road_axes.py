@@ -31,7 +31,7 @@ Chosen: larger has no direction in bends, smaller has one in junctions."""
 
 
 class RoadAxes:
-    """Remembers how single vehicles moved, and tells the direction of the road at a place.
+    """The direction of the road at each place, from how single vehicles moved there.
 
     Traffic either way counts the same: the direction is that of a line.
     """
@@ -44,7 +44,7 @@ class RoadAxes:
         self._last_ns: int | None = None
 
     def add(self, stamp_ns: int, boxes: list[Box]) -> None:
-        """Note boxes left, top, right, bottom of single vehicles in a image."""
+        """Note boxes left, top, right, bottom of single vehicles in an image."""
         elapsed_s = np.inf if self._last_ns is None else (stamp_ns - self._last_ns) / 1e9
         if 0.0 <= elapsed_s < STEP_S:
             return
@@ -69,7 +69,7 @@ class RoadAxes:
         return float(along.real), float(along.imag)
 
     def _pair(self, now: NDArray[np.float64]) -> None:
-        """Remember the steps of vehicles that are each other's nearest and alike."""
+        """Remember the steps of vehicles that are nearest to each other, and alike."""
         then = self._last
         if not len(now) or not len(then):
             return

@@ -1,4 +1,4 @@
-"""Cast shadows: what the sun leaves out, learnt from the scene itself.
+"""Cast shadows, learnt from the scene itself.
 
 All shadows of a scene at one time have the same colour: sky light over sky light plus sun light.
 Ratios of vehicles to the road spread widely, those of shadows are all alike; and a shadow keeps the
@@ -106,7 +106,7 @@ class ShadowModel:
         return left
 
     def _find_peak(self) -> None:
-        """The darkest dense stretch of ratios among those through which the ground shows."""
+        """The darkest of the high peaks of ratios through which the ground's pattern shows."""
         kernel = np.ones(2 * _SPREAD + 1)
         count = np.convolve(self._count, kernel, mode="same")
         seen, ground = (np.convolve(column, kernel, mode="same") for column in self._pattern.T)

@@ -76,7 +76,7 @@ class Explanation:
 
     @property
     def badness(self) -> float:
-        """Misfit, and what each vehicle must bring."""
+        """Misfit, and the price of each vehicle after the first."""
         return self.misfit + ONE_GAIN * (len(self.boxes) - 1)
 
 
@@ -136,7 +136,7 @@ def _explained(
     models: list[_Model],
     lorries: list[Outline],
 ) -> Explanation:
-    """The blob as these lorries and the vehicles that are most like what they leave."""
+    """The blob as these lorries, and the vehicles that explain the rest best."""
     covers = [drawn((hull - corner) * zoom, seen.shape) for hull in lorries]
     start = np.ones(seen.shape, dtype=np.float32)
     for cover in covers:
@@ -278,9 +278,9 @@ def misfit_of_one(
 
 
 def fit_edges(pixels: Mask, corner: tuple[int, int], found: Explanation) -> list[Box]:
-    """Its boxes moved to the edges of the blob where they are near.
+    """The boxes of an explanation, moved to the edges of the blob where these are near.
 
-    Those of which little is seen beside the others are left out.
+    Vehicles of which little is seen beside the others are left out.
     """
     order = np.argsort(-found.boxes[:, 3], kind="stable")
     left = found.boxes[order]

@@ -94,7 +94,7 @@ class VehicleSizes:
         return self._at(0.5 * (box[0] + box[2]), float(box[3]))
 
     def _at(self, x: float, bottom: float) -> tuple[float, float]:
-        # Plain numbers: this is asked for hundreds of times in a image.
+        # Plain numbers: this is asked for hundreds of times in an image.
         u, v = x / self._scale, bottom / self._scale
         a, b, p, q, r, s = self._terms
         height = max(a + b * v, MIN_HEIGHT_PX)
@@ -137,7 +137,7 @@ class VehicleSizes:
         self.known = True
 
     def _bend(self, place: NDArray[np.float64], size: NDArray[np.float64]) -> None:
-        """How sizes (N, 2) depart from the line, cell by cell; cells without cars as their like."""
+        """How sizes (N, 2) depart from the line, cell by cell; little in cells with few cars."""
         line = place[:, _ROW] @ self._height
         wide = np.exp(np.clip(place @ self._shape, -1.0, 1.6)) * line
         off = np.log(size / np.column_stack([wide, line]))
@@ -210,7 +210,7 @@ outlines seen from a pole lie between."""
 
 
 class VehicleOutlines:
-    """Remembers outlines of single vehicles, and tells the usual one of a place.
+    """The usual outline of a vehicle at each place, from those of single vehicles.
 
     All vehicles of a road stand the same way at one place of it, whatever their size.
     """

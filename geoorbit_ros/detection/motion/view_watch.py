@@ -1,4 +1,4 @@
-"""Notices that a camera was bumped: the image as a whole lies elsewhere than the known road."""
+"""Notices that a camera was bumped: the whole image has moved against the known road."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ images, smaller finds shifts in images that have nothing in common."""
 
 
 class ViewWatch:
-    """Measures where the image lies against the road, a few times a second."""
+    """Measures how far the image has moved against the road, a few times a second."""
 
     def __init__(self) -> None:
         self._looked_ns: int | None = None

@@ -102,7 +102,7 @@ class OnnxYolo:
         return f"{Path(self._model.place).name} ({self._layout.name}, {width}x{height})"
 
     def warm_up(self, images: Iterable[tuple[int, NDArray[np.generic]]]) -> None:
-        """See `Detector`: a model has learnt before."""
+        """See `Detector`: a model learns nothing from images."""
 
     def detect(self, stamp_ns: int, image: NDArray[np.generic]) -> NDArray[np.void]:
         """See `Detector`; the stamp is not used."""

@@ -1,4 +1,4 @@
-"""From the words by which a user names a source to the source."""
+"""Opens the source of images that a user names."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def open_frame_source(
     Args:
         spec: `recording.mp4`, `rtsp://…` or `http://…`, a folder, or `<scheme>:…` of `more`.
         options: How; default: all defaults.
-        more: Makers of further sources by scheme; `scenes.frame_source.SCENES` for `scene:NAME`.
+        more: Makers of further sources by scheme; `rendering.frame_source.SCENES` for `scene:NAME`.
 
     Raises:
         FrameSourceError: Nothing that can be read. A stream says so only when it is iterated.

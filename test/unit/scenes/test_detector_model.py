@@ -17,7 +17,7 @@ from geoorbit_ros.scenes.detector_model import (
     exact_boxes,
     true_boxes,
 )
-from geoorbit_ros.scenes.scene import Detector
+from geoorbit_ros.scenes.scene import DetectorFaults
 
 CAR = (4.5, 1.8, 1.5)
 TRUCK = (9.0, 2.5, 3.5)
@@ -25,7 +25,7 @@ HEIGHT_M = 8.0
 CAMERA = pole_camera(HEIGHT_M)
 
 
-def faulty(**faults: float) -> Detector:
+def faulty(**faults: float) -> DetectorFaults:
     return FAULTLESS.model_copy(update=faults)
 
 
@@ -56,7 +56,7 @@ def corners(x: float, y: float, heading_deg: float, size: tuple[float, float, fl
     return np.array(found)
 
 
-def many(faults: Detector, view: View, frames: int, step_s: float = 0.1) -> list[Array]:
+def many(faults: DetectorFaults, view: View, frames: int, step_s: float = 0.1) -> list[Array]:
     """Boxes of many frames of one unchanging view."""
     model = DetectorModel(CAMERA, faults, 3)
     return [edges(model.detect(k * step_s, view)[0]) for k in range(frames)]

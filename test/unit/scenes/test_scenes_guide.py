@@ -13,7 +13,7 @@ from geoorbit_ros.scenes.road_plan import Road
 from geoorbit_ros.scenes.scene import (
     VEHICLE_TYPES,
     Camera,
-    Detector,
+    DetectorFaults,
     Flow,
     Scene,
     Traffic,
@@ -64,7 +64,7 @@ def test_every_key_is_named() -> None:
         ("traffic.", Traffic),
         ("traffic.flows[].", Flow),
         ("camera.", Camera),
-        ("detector.", Detector),
+        ("detector.", DetectorFaults),
     ],
 )
 def test_defaults_are_told_as_they_are(prefix: str, model: type[BaseModel]) -> None:
