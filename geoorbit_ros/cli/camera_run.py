@@ -7,7 +7,6 @@ from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +30,7 @@ from geoorbit_ros.storage.frames.source import FrameSource, StampedImage
 from geoorbit_ros.storage.frames.video_writer import VideoWriter
 from geoorbit_ros.storage.track_csv import write_track_csv
 from geoorbit_ros.tracking.parameters import TrackerParameters
-from geoorbit_ros.tracking.tracker import Tracker
+from geoorbit_ros.tracking.tracker import VehicleTracker, make_tracker
 
 TRACKS_CSV, LANES, REPORT = "tracks.csv", "lanes.geojson", "report.html"
 
@@ -115,13 +114,6 @@ def _some(images: FrameSource, duration_s: float) -> Iterator[StampedImage]:
             yield stamp_ns, image
 
 
-class BoxTracker(Protocol):
-    """What gives detections their identity."""
-
-    def update(self, stamp_ns: int, detections: NDArray[np.void]) -> NDArray[np.void]:
-        """Tracks at `stamp_ns`, `PIXEL_TRACK_DTYPE`, from `DETECTION_DTYPE` rows."""
-
-
 @dataclass(frozen=True, slots=True)
 class TrackedImage:
     """One image and what was seen in it.
@@ -140,7 +132,7 @@ class TrackedImage:
 
 
 def track_images(
-    frames: Iterable[tuple[int, NDArray[np.uint8]]], detector: Detector, tracker: BoxTracker
+    frames: Iterable[tuple[int, NDArray[np.uint8]]], detector: Detector, tracker: VehicleTracker
 ) -> Iterator[TrackedImage]:
     """Detect and track frame by frame.
 
@@ -207,7 +199,8 @@ class CameraRun:
             raise NoTrafficError("images", "none", "at least one")
         width, height = self.image_size = (first[1].shape[1], first[1].shape[0])
         projector = BoxProjector(self.homography, self.image_size)
-        tracker = Tracker(TrackerParameters(image_width=width, image_height=height))
+        parameters = TrackerParameters(image_width=width, image_height=height)
+        tracker = make_tracker(parameters=parameters)
         with ExitStack() as files:
             writer = None
             if video:

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from geoorbit_ros.core.plugins import expected
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -14,7 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from geoorbit_ros.storage.mot_text import MotTable
-    from geoorbit_ros.tracking.tracker import Tracker
+    from geoorbit_ros.tracking.tracker import VehicleTracker
 
 
 def track(
@@ -45,6 +47,12 @@ def track(
     min_score: Annotated[
         float, typer.Option("--min-score", help="Confidence of a detection that begins a track.")
     ] = 0.42,
+    method: Annotated[
+        str,
+        typer.Option(
+            "--tracker", metavar="NAME", help=f"What follows vehicles: {expected('tracker')}."
+        ),
+    ] = "kalman",
 ) -> None:
     """Give the boxes of a detector ids that last, offline, without a ROS graph.
 
@@ -59,7 +67,7 @@ def track(
     from geoorbit_ros.storage.mot_text import read_mot_detections
 
     size = parse_image_size(image_size) if image_size else (0, 0)
-    tracker = _tracker(min_score, max_gap_s, size)
+    tracker = _tracker(method, min_score, max_gap_s, size)
     if out.exists() and detections.exists() and out.samefile(detections):
         raise ParameterError("option --out", f"{out}, the input", "another path")
     with status(f"reading {detections}"):
@@ -73,22 +81,25 @@ def track(
     console.print(f" Wrote {out}", soft_wrap=True)
 
 
-def _tracker(min_score: float, max_gap_s: float, image_size: tuple[int, int]) -> Tracker:
+def _tracker(
+    method: str, min_score: float, max_gap_s: float, image_size: tuple[int, int]
+) -> VehicleTracker:
     from geoorbit_ros.tracking.parameters import TrackerParameters
-    from geoorbit_ros.tracking.tracker import Tracker
+    from geoorbit_ros.tracking.tracker import make_tracker
 
-    return Tracker(
+    return make_tracker(
+        method,
         TrackerParameters(
             high_score=min_score,
             birth_score=min_score,
             max_gap_s=max_gap_s,
             image_width=image_size[0],
             image_height=image_size[1],
-        )
+        ),
     )
 
 
-def _write(out: Path, table: MotTable, fps: float, tracker: Tracker) -> int:
+def _write(out: Path, table: MotTable, fps: float, tracker: VehicleTracker) -> int:
     """Write the tracks in the format that the name asks for; how many boxes there are."""
     import numpy as np
 

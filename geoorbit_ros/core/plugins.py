@@ -23,9 +23,10 @@ FOLDERS = {
     "encoding": "federated/encodings",
     "estimator": "lanes/estimators",
     "strategy": "federated/strategies",
+    "tracker": "tracking",
 }
 """Folder of the package in which the classes of each kind stand."""
-FROM_FILES = ("detector", "estimator", "strategy")
+FROM_FILES = ("detector", "estimator", "strategy", "tracker")
 """Kinds that take plug-ins. An encoding needs a number that server and clients agree on."""
 
 _PACKAGE = Path(__file__).parents[1]

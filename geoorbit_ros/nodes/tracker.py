@@ -18,13 +18,14 @@ from geoorbit_ros.nodes.support.process import run_node
 from geoorbit_ros.nodes.support.qos import stream_qos
 from geoorbit_ros.nodes.support.table_stream import TableStream
 from geoorbit_ros.tracking.parameters import TrackerParameters, first_id_at
-from geoorbit_ros.tracking.tracker import Tracker, outside_image
+from geoorbit_ros.tracking.tracker import VehicleTracker, make_tracker, outside_image
 
 
 @dataclass(frozen=True, slots=True)
 class TrackerNodeParameters:
     """See params/tracker.yaml."""
 
+    tracker: str
     high_score: float
     low_score: float
     birth_score: float
@@ -70,8 +71,8 @@ class TrackerNode(GeoOrbitNode[TrackerNodeParameters]):
 
     def setup(self) -> None:
         """Check the parameters, then start."""
-        self.p.of_tracker(0)
-        self._tracker: Tracker | None = None
+        make_tracker(self.p.tracker, self.p.of_tracker(0))
+        self._tracker: VehicleTracker | None = None
         qos = stream_qos(self.p.reliability, self.p.queue_depth)
         self.tracks = self.create_publisher(PointCloud2, "tracks_px", qos)
         self._stream = TableStream(
@@ -90,7 +91,7 @@ class TrackerNode(GeoOrbitNode[TrackerNodeParameters]):
 
     def _on_frame(self, stamp_ns: int, rows: NDArray[np.void]) -> None:
         if self._tracker is None:
-            self._tracker = Tracker(self.p.of_tracker(stamp_ns))
+            self._tracker = make_tracker(self.p.tracker, self.p.of_tracker(stamp_ns))
         tracks = self._tracker.update(stamp_ns, rows)
         self._look_outside(rows)
         self.publish_stream(self.tracks, encode_table(stamp_ns, self._stream.frame_id, tracks))

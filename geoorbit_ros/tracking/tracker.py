@@ -8,10 +8,12 @@ arXiv:2203.14360, section 4.1).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.core import plugins
 from geoorbit_ros.core.errors import TableError
 from geoorbit_ros.core.tables import (
     DETECTION_DTYPE,
@@ -76,6 +78,54 @@ class TrackerCounts:
     recovered: int = 0
 
 
+@runtime_checkable
+class VehicleTracker(Protocol):
+    """Gives the detections of one camera lasting ids, frame by frame.
+
+    A plug-in with a class method `from_settings` is made from `TrackerParameters`, any other
+    without arguments.
+    """
+
+    @property
+    def counts(self) -> TrackerCounts:
+        """What has happened so far."""
+
+    @property
+    def alive(self) -> int:
+        """Confirmed tracks, unobserved ones included."""
+
+    @property
+    def lost(self) -> int:
+        """Confirmed tracks that were not observed in the last frame."""
+
+    def update(self, stamp_ns: int, detections: NDArray[np.void]) -> NDArray[np.void]:
+        """Take one frame of `DETECTION_DTYPE`, later than the one before.
+
+        Returns:
+            `PIXEL_TRACK_DTYPE`, ordered by id.
+        """
+
+    def reset(self) -> None:
+        """Forget all tracks, for a source that starts again; ids go on."""
+
+
+def make_tracker(
+    name: str = "kalman", parameters: TrackerParameters | None = None
+) -> VehicleTracker:
+    """A fresh tracker, by its registered name or as `FILE.py:CLASS`.
+
+    Raises:
+        ParameterError: No tracker has this name, or the file has no such class.
+    """
+    return plugins.make(
+        "tracker",
+        name,
+        VehicleTracker,  # type: ignore[type-abstract]
+        parameters or TrackerParameters(),
+    )
+
+
+@plugins.register("tracker", "kalman")
 class Tracker:
     """Follows all vehicles of one camera at once.
 
@@ -96,6 +146,11 @@ class Tracker:
         self._next_id = self._p.first_id
         self.counts = TrackerCounts()
         self.reset()
+
+    @classmethod
+    def from_settings(cls, parameters: TrackerParameters) -> Self:
+        """A tracker with these parameters."""
+        return cls(parameters)
 
     def reset(self) -> None:
         """Forget all tracks, for a source that starts again; ids go on."""

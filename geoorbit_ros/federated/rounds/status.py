@@ -35,6 +35,7 @@ def status_text(server: FederatedServer, facts: dict[str, object]) -> str:
             name: None if isinstance(value, float) and not math.isfinite(value) else value
             for name, value in asdict(record).items()
         }
+        | {"judges": record.validation_clients}  # its old name, until 0.2.0
         for record in server.history[-1:]
     ]
     return json.dumps(facts | {"last_round": rows})

@@ -15,6 +15,7 @@ from geoorbit_ros.detection.detector import make_detector
 from geoorbit_ros.federated.encodings.encoding import make_encoding
 from geoorbit_ros.federated.strategies.strategy import make_strategy
 from geoorbit_ros.lanes.estimators.estimator import make_estimator
+from geoorbit_ros.tracking.tracker import make_tracker
 
 ROOT = Path(__file__).parents[3]
 
@@ -43,6 +44,14 @@ from geoorbit_ros.federated.strategies.strategy import Strategy
 class Dummy(Strategy):
     pass
 """,
+    "tracking/dummy.py": """
+from geoorbit_ros.core.plugins import register
+from geoorbit_ros.tracking.tracker import Tracker
+
+@register("tracker", "dummy_tracker")
+class Dummy(Tracker):
+    pass
+""",
     "federated/encodings/dummy.py": """
 from dataclasses import dataclass
 
@@ -67,7 +76,7 @@ def help_of(command):
     return text.getvalue().replace(" ", "").replace("\\n", "").replace("│", "")
 
 for command, kinds in {"train": ("estimator", "strategy", "encoding"),
-                       "process": ("detector", "estimator")}.items():
+                       "process": ("detector", "estimator"), "track": ("tracker",)}.items():
     shown = help_of(command)
     for kind in kinds:
         assert f"dummy_{kind}" in shown, (command, kind, shown)
@@ -75,22 +84,24 @@ for command, kinds in {"train": ("estimator", "strategy", "encoding"),
 from geoorbit_ros.parameters import load_schema
 for node, kind in (("lane_geometry", "estimator"), ("meta_client", "estimator"),
                    ("meta_client", "encoding"), ("federated_server", "encoding"),
-                   ("federated_server", "strategy")):
+                   ("federated_server", "strategy"), ("tracker", "tracker")):
     (spec,) = [spec for spec in load_schema(node) if spec.name == kind]
     assert spec.checked(f"dummy_{kind}", node) and f"dummy_{kind}" in spec.expected
 
 from geoorbit_ros.fleet.fleet_file import Fleet
 text = json.dumps(Fleet.model_json_schema())
-assert all(f"dummy_{kind}" in text for kind in ("estimator", "strategy", "encoding"))
+assert all(f"dummy_{kind}" in text for kind in ("estimator", "strategy", "encoding", "tracker"))
 
 from pathlib import Path
 from geoorbit_ros.detection.detector import make_detector
 from geoorbit_ros.federated.encodings.encoding import _by_code, make_encoding
 from geoorbit_ros.federated.strategies.strategy import make_strategy
 from geoorbit_ros.lanes.estimators.estimator import make_estimator
+from geoorbit_ros.tracking.tracker import make_tracker
 made = (make_detector(Path("dummy_detector")), make_estimator("dummy_estimator"),
-        make_strategy("dummy_strategy"), make_encoding("dummy_encoding"))
-assert [type(one).__name__ for one in made] == ["Dummy"] * 4
+        make_strategy("dummy_strategy"), make_encoding("dummy_encoding"),
+        make_tracker("dummy_tracker"))
+assert [type(one).__name__ for one in made] == ["Dummy"] * 5
 assert 77 in _by_code()
 
 sys.path.insert(0, "docs")
@@ -122,6 +133,7 @@ MAKERS: dict[str, Callable[[str], object]] = {
     "encoding": make_encoding,
     "estimator": make_estimator,
     "strategy": make_strategy,
+    "tracker": make_tracker,
 }
 
 
@@ -137,7 +149,7 @@ def test_numbers_of_encodings_are_their_own() -> None:
     assert len(set(codes)) == len(codes)
 
 
-@pytest.mark.parametrize("kind", ["encoding", "estimator", "strategy"])
+@pytest.mark.parametrize("kind", ["encoding", "estimator", "strategy", "tracker"])
 def test_an_unknown_name_is_refused_with_those_that_are_known(kind: str) -> None:
     with pytest.raises(ParameterError) as error:
         MAKERS[kind]("no_such")

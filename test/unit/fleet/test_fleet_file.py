@@ -216,6 +216,15 @@ def test_the_good_file_of_these_tests_is_yaml() -> None:
     assert yaml.safe_load(GOOD)["name"] == "crossing"
 
 
+def test_a_parameter_by_its_old_name_is_taken(tmp_path: Path) -> None:
+    old = "federated_server: {parameters: {judge_every: 3}}"
+    file = tmp_path / "fleet.yaml"
+    file.write_text(GOOD.replace("federated_server: {}", old))
+    server = load_fleet(file)[0].federated_server
+    assert server is not None
+    assert server.parameters == {"judge_every": 3}  # the node says that it has a new name
+
+
 def test_the_schema_for_editors_is_up_to_date() -> None:
     shipped = json.loads(share_path("params/fleets/fleet.schema.json").read_text())
     assert shipped == Fleet.model_json_schema(), "run docs/make_fleet_schema.py"
