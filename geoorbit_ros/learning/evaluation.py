@@ -124,7 +124,7 @@ def _evaluate_draw(
         for camera, theta in zip(cameras, thetas, strict=True)
     ]
     jobs += list(zip(seen, searched, strict=True))
-    results = iter(_judge_all(jobs, estimator, study.workers, progress))
+    results = iter(_measure_all(jobs, estimator, study.workers, progress))
     rows = []
     for name, seed, _ in plans:
         found = {camera.camera_id: next(results) for camera in cameras}
@@ -147,7 +147,7 @@ def _row(
 _Job = tuple[PopulationCamera, str, tuple[float, ...]]
 
 
-def _judge_all(
+def _measure_all(
     asked: Sequence[tuple[PopulationCamera, Array]],
     estimator: str,
     workers: int,

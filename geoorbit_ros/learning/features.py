@@ -6,7 +6,7 @@ and flat views, so it carries the view's geometry). No number tells where the ca
 drove by.
 
 Each feature is (value - centre) / scale with the constants below, clipped to [-3, 3]. The constants
-are physical, not fitted: a camera needs nobody else's data to compute its vector, and one odd
+are physical, not fitted: a camera computes its vector from its own data alone, and one odd
 camera can't throw the network far off.
 """
 

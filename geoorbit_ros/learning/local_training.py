@@ -2,7 +2,7 @@
 
     L_param = sum over p of |theta_p - theta*_p|^2      (the paper, section IV-C)
 
-Theta is compared in the unit cube, so that each parameter counts alike whatever its range is.
+Theta is compared in the unit cube, so that each parameter counts the same.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class TrainingSettings:
         weight_decay: Pull of all weights, not of biases, towards zero: towards one theta for all.
         feature_noise: Standard deviation of the noise added to the features at every step. There
             are fewer cameras than the network has weights; noise as large as the differences
-            between cameras keeps it from telling each of them by heart (Bishop 1995, Training with
+            between cameras keeps it from memorising them (Bishop 1995, Training with
             noise is equivalent to Tikhonov regularization).
     """
 

@@ -14,7 +14,7 @@ from typing import ParamSpec, TypeVar
 from joblib import Parallel, delayed
 
 NICENESS = 19
-"""The lowest priority: whatever is live comes first, also where there are few cores."""
+"""The lowest priority: live work comes first, also where there are few cores."""
 
 Parameters = ParamSpec("Parameters")
 Returned = TypeVar("Returned")
@@ -49,14 +49,14 @@ class BackgroundProcess(Executor):
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
     def kill(self) -> None:
-        """End the process, whatever it does."""
+        """End the process at once."""
         for process in list((self._pool._processes or {}).values()):  # noqa: SLF001, kill_workers: 3.14
             process.kill()
         self._pool.shutdown(wait=False, cancel_futures=True)
 
     @staticmethod
     def _new() -> ProcessPoolExecutor:
-        # Spawned: a fork would copy the middleware's threads in whatever state they are.
+        # Spawned: a fork would copy the middleware's threads in an undefined state.
         context = multiprocessing.get_context("spawn")
         return ProcessPoolExecutor(1, context, start_in_background)
 
@@ -83,7 +83,7 @@ Progress = Callable[[str, float], None]
 
 
 def quiet(_what: str, _share: float) -> None:
-    """Progress that nobody watches."""
+    """Progress that is not shown."""
 
 
 def spread(

@@ -109,7 +109,7 @@ def check_finite(vector: Vector, what: str) -> Vector:
 
 
 class ErrorFeedback:
-    """Remembers the difference between what was meant and what was sent.
+    """Remembers what an encoding leaves out, and adds it to the next vector.
 
     Karimireddy et al., "Error feedback fixes SignSGD and other gradient compression schemes", ICML
     2019: with it, a biased encoding such as top-k reaches what no encoding reaches.
@@ -127,7 +127,7 @@ class ErrorFeedback:
         self.residual: Vector = np.zeros(size, np.float32)
 
     def encode(self, vector: Vector) -> bytes:
-        """Bytes of this vector and of what earlier ones are owed."""
+        """Bytes of this vector plus what earlier ones left unsent."""
         meant = vector + self.residual
         data = self.encoding.encode(meant)
         self.residual = meant - self.encoding.decode(data, len(meant))

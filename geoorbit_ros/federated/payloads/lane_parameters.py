@@ -70,7 +70,7 @@ class ThetaInbox:
 
     Attributes:
         taken: How many have been taken.
-        version: Where theta is from, in words for people; whoever sets it otherwise says so here.
+        version: Where theta is from, in words for people. Set it, too, when theta is set otherwise.
     """
 
     def __init__(self, camera_id: str, verifier: Verifier) -> None:

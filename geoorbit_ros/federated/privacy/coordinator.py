@@ -91,7 +91,7 @@ class Coordinator:
 
     @property
     def complete(self) -> bool:
-        """Whether everybody was heard who can be."""
+        """Whether all clients were heard that still can be."""
         return self._waiting <= set(self._came)
 
     def take(self, message: SecureMessage) -> None:
@@ -158,7 +158,7 @@ class Coordinator:
         """The sum of the survivors' vectors, shape (size,), after the last stage.
 
         Raises:
-            FederationError: Shares that fit no secret: somebody lied.
+            FederationError: Shares that fit no secret: a client sent wrong ones.
         """
         shares: dict[int, dict[int, bytes]] = {client: {} for client in self._sharers}
         for holder, data in self._came.items():

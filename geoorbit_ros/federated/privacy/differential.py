@@ -23,7 +23,7 @@ def clipped(update: Vector, clip_norm: float) -> Vector:
 
 
 def normal_noise(secret: bytes, round_number: int, size: int) -> NDArray[np.float64]:
-    """Standard normal numbers, shape (size,), that nobody can foresee without the secret.
+    """Standard normal numbers, shape (size,), that can not be predicted without the secret.
 
     The same secret and round give the same numbers, so that a server that was killed and goes on
     does not release the same round with two noises, whose mean would hold less.
@@ -43,7 +43,7 @@ def epsilon(noise_multiplier: float, rounds: int, delta: float) -> float:
     """Privacy loss of a camera that took part in so many rounds.
 
     Computed by the privacy loss distribution of Google's dp-accounting, which is tight. Nothing is
-    gained from random selection here: the selected clients are announced, and so no secret.
+    gained from random selection here: the selected clients are public.
 
     Args:
         noise_multiplier: Standard deviation of the noise on the sum, in `clip_norm`.

@@ -70,7 +70,7 @@ class MaskedRound:
 
     @property
     def enough(self) -> bool:
-        """Whether the open step may end before everybody was heard."""
+        """Whether the open step may end before all clients were heard."""
         least = self.coordinator.least
         return self.number >= (max(least, self._at_least) if self.coordinator.stage == 0 else least)
 

@@ -1,4 +1,4 @@
-"""Masks: streams of numbers that two parties can both make and nobody else."""
+"""Masks: streams of numbers that only two parties can make."""
 
 from __future__ import annotations
 

@@ -272,7 +272,7 @@ class FederatedClient:
             expected = "a whole model first"
             raise PayloadError(Refusal.OTHER_MODEL, DELTA, f"round {delta.round}", expected)
         if (delta.round, delta.model) == (state.round, state.digest):
-            self._verifier.check(payload, DELTA)  # told again: the update may have been lost
+            self._verifier.check(payload, DELTA)  # sent again: the update may have been lost
             self._check_not_over(state.run, delta.round, delta.flags)
             self._use(state, delta.approved, (0, state.model))
             return delta.clients, delta.flags

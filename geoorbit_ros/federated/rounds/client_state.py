@@ -39,7 +39,7 @@ class ClientState:
         model: Weights, shape (size,).
         digest: The model's.
         proximal_mu: FedProx's penalty weight.
-        residual: What the encoding of updates still owes, shape (size,).
+        residual: What the encoding of updates has not sent yet, shape (size,).
         answered: Round of the last update; 0: none.
         answered_model: Digest of the model it started from.
         update: That update as it was sent.

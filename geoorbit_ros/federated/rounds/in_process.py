@@ -25,7 +25,7 @@ def run_in_process(
 
     Args:
         server: Fresh, or resumed from its checkpoint.
-        clients: Everybody on the roster that is there.
+        clients: The clients of the roster that take part.
         train_many: Local training of all clients of a round.
         on_round: Called after each round.
 
@@ -34,7 +34,7 @@ def run_in_process(
 
     Raises:
         FederationError: A round that no client can complete.
-        PayloadError: A payload that was refused, which among honest parties none is.
+        PayloadError: A payload that was refused, which does not happen here.
     """
     traffic, now_s = Traffic(), 0.0
     payloads = [server.start(now_s)]
@@ -47,7 +47,7 @@ def run_in_process(
         if on_round and server.round > number:
             on_round(server, traffic)
         if not payloads and not server.finished:
-            now_s += server.config.deadline_s  # simulated time: silence costs nothing here
+            now_s += server.config.deadline_s  # simulated time
             payloads = [again] if (again := server.tick(now_s)) else []
         if not payloads:
             break
@@ -78,7 +78,7 @@ def _answer(
     traffic: Traffic,
     now_s: float,
 ) -> list[bytes]:
-    """Train everybody who is asked, hand in the updates; what the server announces then."""
+    """Train the clients that are asked and give their updates to the server; its answers."""
     results = iter(train_many([(client, work) for client, work in asked if not work.ready]))
     updates = [work.ready or client.finish(work, next(results)) for client, work in asked]
     clients = [client for client, _ in asked]
@@ -106,7 +106,7 @@ def _hand_in(
         except PayloadError as error:
             if not (server.asynchronous and error.reason is Refusal.OLD_ROUND):
                 raise
-            continue  # overtaken by others, as happens where nobody waits
+            continue  # an asynchronous server has gone on meanwhile
         if following is not None and schema_of(following) == SECURE:
             traffic.down(following, len(clients))
             waiting += [step for client in clients if (step := client.assist(following))]

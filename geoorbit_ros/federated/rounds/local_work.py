@@ -16,7 +16,7 @@ class TrainingOrder:
     """What local training is given beside the tensors.
 
     Attributes:
-        round: The round, also to seed whatever is random: the same round gives the same update.
+        round: The round, also the seed of random numbers: the same round gives the same update.
         proximal_mu: FedProx's penalty weight, see `strategies.fedprox.proximal_gradient`; 0: none.
         train: Whether to train; else the model is only validated.
         validate: Whether to compare the model with the defaults.

@@ -48,7 +48,7 @@ class RandomSelection:
 
 
 class RoundRobinSelection:
-    """One after the other; nobody waits longer than everybody else's turn."""
+    """One after the other, in turn."""
 
     def choose(
         self, clients: Sequence[int], number: int, round_number: int, utility: NDArray[np.float64]
@@ -59,11 +59,11 @@ class RoundRobinSelection:
 
 
 class ImportanceSelection:
-    """Those from whom most is to be learned come more often.
+    """Clients with larger losses and more examples are chosen more often.
 
     Probabilities follow the statistical utility of Lai et al., "Oort", OSDI 2021, section 4.2: the
     loss times the root of the number of examples. A client of which nothing is known counts as the
-    most useful one, and nobody's probability falls under a tenth of that, for losses change.
+    most useful one, and no probability falls below a tenth of that, because losses change.
     """
 
     def __init__(self, seed: int) -> None:

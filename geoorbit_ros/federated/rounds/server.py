@@ -42,7 +42,7 @@ from geoorbit_ros.federated.strategies.strategy import FedAvg, Strategy
 class FederatedServer:
     """Runs rounds: announces a model, takes updates, makes the next model of them.
 
-    It does nothing by itself: its driver (a node, the command line, a test) hands in what
+    It does nothing by itself: its driver (a node, the command line, a test) gives it what
     arrived and what time it is, and sends what comes out to all clients. Each method returns at
     most one payload. All that a round's result depends on is in its checkpoint, which is written
     before the result is announced: killed at any moment and started again, the server announces
@@ -90,10 +90,10 @@ class FederatedServer:
     ) -> None:
         self.config, self.layout = config, ModelLayout.of(tensors)
         self._members = tuple(roster)
-        self._training_clients = tuple(
+        self._training = tuple(
             m for m in self._members if is_training_client(m, config.validation_divisor)
         )
-        self._validation_clients = tuple(
+        self._validating = tuple(
             m for m in self._members if is_validation_client(m, config.validation_divisor)
         )
         self._strategy = strategy or FedAvg()
@@ -108,7 +108,7 @@ class FederatedServer:
             signer or Signer(None, config.federation),
             self._strategy.proximal_mu,
         )
-        counts = (len(m) for m in (self._members, self._training_clients, self._validation_clients))
+        counts = (len(m) for m in (self._members, self._training, self._validating))
         check_settings(config, self._strategy, *counts)
         self._checkpoint = checkpoint
         first = self.layout.flatten(tensors)
@@ -120,7 +120,7 @@ class FederatedServer:
         self.accepted = 0
         self.refused: Counter[Refusal] = Counter()
         self._selected: frozenset[int] = frozenset()
-        self._wanted = len(self._training_clients)
+        self._wanted = len(self._training)
         self._opened_s = self._deadline_s = 0.0
         self._round = self._new_round()
         self._masked: MaskedRound | None = None
@@ -160,11 +160,7 @@ class FederatedServer:
         """The verdict on the last model that was validated."""
         last = next((r for r in reversed(self._state.history) if r.validation_clients), None)
         if last is None:
-            return (
-                NOT_VALIDATED
-                if not self._validation_clients
-                else Verdict(False, math.nan, math.nan, 0)
-            )
+            return NOT_VALIDATED if not self._validating else Verdict(False, math.nan, math.nan, 0)
         return Verdict(last.approved, last.gain, last.gain_error, last.validation_clients)
 
     @property
@@ -261,9 +257,9 @@ class FederatedServer:
     def _complete(self) -> bool:
         """Whether all clients that it waits for were heard."""
         if self._state.trained:
-            return self.validated >= len(self._validation_clients)
+            return self.validated >= len(self._validating)
         apart = (
-            len(self._validation_clients)
+            len(self._validating)
             if self.config.validation_divisor > 1 and not self.asynchronous
             else 0
         )
@@ -277,12 +273,12 @@ class FederatedServer:
         number = self.config.clients_per_round
         chosen: tuple[int, ...] = ()
         free = self.asynchronous or self._state.trained
-        if 0 < number < len(self._training_clients) and not free:
-            utility = self._state.answers.of(self._training_clients)
-            chosen = self._selection.choose(self._training_clients, number, self.round, utility)
+        if 0 < number < len(self._training) and not free:
+            utility = self._state.answers.of(self._training)
+            chosen = self._selection.choose(self._training, number, self.round, utility)
         self._selected = frozenset(chosen)
-        # Stays when the round is opened to all: then any client may stand in for a silent one.
-        self._wanted = self._strategy.buffer_size or len(chosen) or len(self._training_clients)
+        # Stays when the round is opened to all: any client may then replace another one.
+        self._wanted = self._strategy.buffer_size or len(chosen) or len(self._training)
         self._round = self._new_round()
         self._opened_s = now_s
         self._wait(now_s, chosen)
@@ -294,10 +290,10 @@ class FederatedServer:
         if not self.config.secure_aggregation or self.finished:
             self._masked = None
             return
-        apart = self._validation_clients if self.config.validation_divisor > 1 else ()
+        apart = self._validating if self.config.validation_divisor > 1 else ()
         expected = {*clients, *apart} if clients else self._members
         self._masked = MaskedRound(
-            self._validation_clients if self._state.trained else expected,
+            self._validating if self._state.trained else expected,
             self._quorum(),
             self.round,
             self._state.digests[self.round],
@@ -312,7 +308,7 @@ class FederatedServer:
         return self._broadcast.repeat(self._state, (), self._flags)
 
     def _quorum(self) -> int:
-        wanted = len(self._validation_clients) if self._state.trained else self._wanted
+        wanted = len(self._validating) if self._state.trained else self._wanted
         return max(1, math.ceil(self.config.quorum * wanted))
 
     def _receive_masked(self, masked: MaskedRound, payload: bytes, now_s: float) -> bytes | None:
@@ -378,7 +374,7 @@ class FederatedServer:
         state.optimiser = self._strategy.state()
         state.round += 1
         state.trained = state.round > config.rounds or outcome.loss <= config.target_loss
-        state.finished = state.trained and not self._validation_clients
+        state.finished = state.trained and not self._validating
         self._broadcast.advance(state)
         oldest = state.round - config.max_staleness - 1
         state.digests = {n: digest for n, digest in state.digests.items() if n >= oldest}

@@ -1,4 +1,4 @@
-"""How a federation is run: everything a server is told once."""
+"""How a federation is run: the settings of a server."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from geoorbit_ros.federated.strategies.strategy import RobustStrategy, Table
 
 @register("strategy", "fedmedian")
 class FedMedian(RobustStrategy):
-    """Holds while fewer than half of the updates lie."""
+    """Withstands false updates while they are fewer than half."""
 
     def combine(self, table: Table) -> Aggregate:
         """See `RobustStrategy.combine`."""

@@ -27,12 +27,12 @@ _BLOCK = 512
 
 @register("strategy", "multi_krum")
 class MultiKrum(RobustStrategy):
-    """Expects this share of byzantine_count; its guarantee takes 2f + 3 updates or more.
+    """Expects this share of false updates; its guarantee takes 2f + 3 updates or more.
 
     With fewer, f is what that allows. Time grows with the square of the number of updates.
 
     Raises:
-        FederationError: A share that can't be told from the majority.
+        FederationError: A share of half or more.
     """
 
     def __init__(self, share: float = 0.3) -> None:

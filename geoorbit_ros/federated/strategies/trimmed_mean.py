@@ -23,7 +23,7 @@ from geoorbit_ros.federated.strategies.strategy import (
 
 @register("strategy", "trimmed_mean")
 class TrimmedMean(RobustStrategy):
-    """Leaves out this share of the updates at each end; holds while no more than that lie.
+    """Leaves out this share of the updates at each end, and withstands so many false ones.
 
     Raises:
         FederationError: A share that leaves nothing.
