@@ -10,9 +10,9 @@ from geoorbit_ros.federated.rounds.client import FederatedClient
 class ResendQueue:
     """Keeps the last update until a newer model, or the end of training, shows that it was heard.
 
-    No acknowledgement is needed: a synchronous server goes on once it has heard all clients.
-    One that still waits refuses a second copy, so sending twice changes nothing. Steps of masked sums are
-    not sent again: they belong to one attempt.
+    No acknowledgement is needed: a synchronous server goes on once it has heard all clients. One
+    that still waits refuses a second copy, so sending twice changes nothing. Steps of masked sums
+    are not sent again: they belong to one attempt.
 
     Args:
         resend_s: Time to the first repetition; each further one takes twice as long. 0: never.
