@@ -41,10 +41,11 @@ def detect(
     min_score: MinScoreOption = 0.25,
     duration: DurationOption = None,
     fps: FpsOption = None,
-    picture: Annotated[
+    road_image: Annotated[
         Path | None,
-        typer.Option("--picture", help="Also draw where vehicles drive, as a .png or .jpg."),
+        typer.Option("--road-image", help="Also draw where vehicles drive, as a .png or .jpg."),
     ] = None,
+    picture: Annotated[Path | None, typer.Option("--picture", hidden=True)] = None,
 ) -> None:
     """Find the vehicles in every image of a camera.
 
@@ -56,29 +57,33 @@ def detect(
     [bold]geoorbit track --detections det.txt --fps 25 --out tracks.txt[/bold]
     """
     from geoorbit_ros.cli.camera_run import open_images, warm_up_detector
-    from geoorbit_ros.cli.console import console, status
+    from geoorbit_ros.cli.console import console, error_console, status
     from geoorbit_ros.detection.detector import DetectorSettings, make_detector
     from geoorbit_ros.storage.mot_text import write_mot
 
-    if picture and picture.suffix.lower() not in (".png", ".jpg", ".jpeg"):
-        raise ParameterError("option --picture", str(picture), "a name that ends in .png or .jpg")
+    if picture:
+        error_console.print("--picture is now --road-image; the old name works for one release")
+        road_image = picture
+    if road_image and road_image.suffix.lower() not in (".png", ".jpg", ".jpeg"):
+        expected = "a name that ends in .png or .jpg"
+        raise ParameterError("option --road-image", str(road_image), expected)
     names = parse_names(class_names)
     with status("loading"):
         detector = make_detector(model, DetectorSettings(min_score, class_names=names))
-    run = _Run(detector, picture)
+    run = _Run(detector, road_image)
     with open_images(source, fps, duration) as images:
         warm_up_detector(detector, images, duration)
         boxes = write_mot(out, run.frames(images, duration))
     console.print(f" {boxes} boxes in {run.count} images, by {detector.name}.")
-    console.print(f" Wrote {out}" + (f" and {picture}" if picture else ""), soft_wrap=True)
+    console.print(f" Wrote {out}" + (f" and {road_image}" if road_image else ""), soft_wrap=True)
 
 
 class _Run:
     """Runs a detector over images, and keeps what the image of the road needs."""
 
-    def __init__(self, detector: Detector, picture: Path | None) -> None:
+    def __init__(self, detector: Detector, road_image: Path | None) -> None:
         self.count = 0
-        self._detector, self._picture = detector, picture
+        self._detector, self._road_image = detector, road_image
         self._segments: RoadSegments | None = None
 
     def frames(
@@ -99,5 +104,5 @@ class _Run:
             yield self.count, rows
         if not self.count:
             raise ParameterError(images.name, "no images", "at least one")
-        if self._picture and self._segments:
-            write_image(self._picture, draw_segments(last, self._segments))
+        if self._road_image and self._segments:
+            write_image(self._road_image, draw_segments(last, self._segments))

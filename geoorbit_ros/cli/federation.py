@@ -1,4 +1,4 @@
-"""`geoorbit federation`: keys, and what privacy is worth."""
+"""`geoorbit federation`: keys, and how much privacy the settings give."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from typing import Annotated
 
 import typer
 
-app = typer.Typer(no_args_is_help=True, help="Keys of a federation, and what privacy is worth.")
+app = typer.Typer(
+    no_args_is_help=True, help="Keys of a federation, and how much privacy its settings give."
+)
 
 
 @app.command("key")

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from geoorbit_ros.cli.signals import EXIT_INTERRUPTED, Interruption
 
 EXIT_BAD_INPUT = 2
+"""As click reports wrong usage."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

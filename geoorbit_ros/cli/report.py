@@ -46,7 +46,7 @@ def report(
     datum: DatumOption = None,
     update_period_s: UpdatePeriodOption = 5.0,
 ) -> None:
-    """Write one HTML page with pictures: vehicle paths, lanes over them, widths, confidence.
+    """Write one HTML page with figures: vehicle paths, lanes over them, widths, confidence.
 
     The page needs no other file and no network. Without --lanes the lanes are found as
     [bold]geoorbit lanes[/bold] finds them.

@@ -45,7 +45,7 @@ def run(
         typer.Option(help="Namespace of the camera in the bag; default: the scene's name."),
     ] = None,
 ) -> None:
-    """Let traffic pass an imagined camera, and write what it reports and what is true.
+    """Let traffic drive past a simulated camera; write what it reports and what is true.
 
     Into the folder go bag/ and tracks.csv (boxes with the faults of real detectors),
     calibration.csv, truth.geojson (the lanes that the camera could see), and clean_tracks.csv with
@@ -94,7 +94,7 @@ def render(
         float, typer.Option(help="How much the light drifts, as a share of its mean.")
     ] = 0.08,
 ) -> None:
-    """Film a scene: the pictures that its roadside camera would send.
+    """Render a scene: the video that its roadside camera would send.
 
     Into the folder go video.mp4, tracks.csv and tracks.txt (true boxes with true ids, in
     geoorbit's and in MOTChallenge's format), calibration.csv and truth.geojson: a full test camera.

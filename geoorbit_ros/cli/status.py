@@ -20,6 +20,7 @@ SETTLE_S, LISTEN_S = 3.0, 6.0
 """`--once` listens at least and, while something isn't healthy, at most this long: discovery takes
 two seconds, every node speaks once a second."""
 REDRAW_S = 0.5
+"""Between two drawings. Nodes report every second: half of that shows each report at once."""
 
 
 def status(

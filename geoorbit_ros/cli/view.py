@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from geoorbit_ros.nodes.viewer import ViewerNode
 
 DISCOVERY_S = 15.0
+"""For a camera to be seen in the graph. Chosen: discovery takes two seconds on an idle machine."""
 
 
 def view(
@@ -43,7 +44,7 @@ def view(
     """Serve images with boxes, tracks, lanes, maps and diagnostics to viewers, until Ctrl-C.
 
     Open [bold]ws://HOST:PORT[/bold] in a Foxglove-compatible viewer; `--layout FILE` writes a
-    layout for it. A topic costs nothing until somebody looks at it.
+    layout for it. A topic costs nothing until a viewer looks at it.
 
     Example: [bold]geoorbit view --bag bags/demo/bag --calibration bags/demo/calibration.csv[/bold]
     """

@@ -19,12 +19,13 @@ from geoorbit_ros.storage.yaml_file import StrictModel, WrongValue, read_yaml
 
 FOLDER = "params/fleets"
 MAX_CAMERAS = 1000
+"""Chosen: each camera is a process of one host; more is taken for a mistake in the file."""
 
 CAMERA_NODES = (
     *("bag_player", "camera", "detector", "tracker"),
     *("homography", "lane_geometry", "recorder", "meta_client", "overlay"),
 )
-"""Nodes in a camera's namespace, in the order in which data passes them."""
+"""Nodes in a camera's namespace, in the order in which data goes through them."""
 NODES = (*CAMERA_NODES, "federated_server", "sumo_bridge", "carla_bridge")
 """Nodes whose parameters a fleet file can set: those of cameras, then those of services."""
 

@@ -6,7 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 STALE_S = 5.0
-"""A node that said nothing for this long is counted as silent; it should every second."""
+"""A node that said nothing for this long is counted as silent. Nodes report every second; chosen:
+larger, a node that hangs is shown later; smaller, a busy machine looks silent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +92,7 @@ SERVICE_COLUMNS: Mapping[str, tuple[tuple[str, str], ...]] = {
         ("latency {} ms (99 %)", "latency_ms_p99"),
         ("{} findings on the map", "map_findings"),
     ),
-    "carla_bridge": (("{} vehicles", "vehicles"), ("{} pictures", "pictures")),
+    "carla_bridge": (("{} vehicles", "vehicles"), ("{} images", "images")),
     "viewer": (("port {}", "port"), ("{} topics offered", "topics"), ("{} looked at", "read")),
 }
 """What people want to know of a service, as words with the value at `{}`."""

@@ -32,7 +32,8 @@ camera grew by 2.5 MB a minute. With fixed thresholds it stays flat, for 4 % mor
 HEARTBEAT_PERIOD_S = 1.0
 """Between two signs of life. Chosen: a part of `Timing.heartbeat_s`, so that some may be late."""
 LOG_BYTES = 5_000_000
-"""A log file that is larger when its process starts is set aside as `.1`."""
+"""A log file that is larger when its process starts is set aside as `.1`. Chosen: larger costs
+disk, smaller loses what happened before."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +154,7 @@ class Supervisor:
             if member.state is State.WAITING and free > 0 and now >= member.due_s:
                 self._start(member, now)
                 free -= 1
-            # A member that is being replaced holds nobody up.
+            # A member that is being replaced does not hold up the others.
             if member.plan.first and member.state is not State.RUNNING and member.restarts == 0:
                 break
 
@@ -254,7 +255,9 @@ class Supervisor:
         with (self._output / "logs" / f"{name}.log").open("rb") as log:
             log.seek(max(log.seek(0, os.SEEK_END) - LAST_LINE_BYTES, 0))
             lines = log.read().decode(errors="replace").split("\n")
-        return next((line.strip() for line in reversed(lines) if line.strip()), "no word")
+        return next(
+            (line.strip() for line in reversed(lines) if line.strip()), "nothing in its log"
+        )
 
     def _close_pipe(self, member: Member) -> None:
         if member.pipe >= 0:

@@ -25,9 +25,16 @@ from geoorbit_ros.storage.bag_reader import bag_messages, describe_bag
 from geoorbit_ros.storage.playback import Playback, begun_at, endless, rename_camera
 
 TICK_S = 0.005
-BATCH = 50  # messages per tick, so that the other nodes of a process get their turn
+"""Between two looks at what is due. Chosen: larger, messages come later than in the recording, by
+up to this; smaller costs processor time."""
+BATCH = 50
+"""Messages per tick at most. Chosen: larger, the other nodes of a process wait longer for their
+turn; smaller, fast playing takes longer."""
 CLOCK_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""As rclcpp's ClockQoS: the newest time only."""
 ACKNOWLEDGE_TIMEOUT = Duration(seconds=10)
+"""At the end, for reliable readers to take the last messages. Chosen: larger, a reader that has
+stopped holds up the end; smaller, one that is slow loses messages."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,8 +66,8 @@ class BagPlayerNode(GeoOrbitNode[BagPlayerParameters]):
 
     Attributes:
         finished: Whether the bag has been played to its end.
-        may_send: Set by whoever composes the player with its readers in one process: how many
-            messages they can take now.
+        may_send: How many messages the readers can take now; set by code that runs the player and
+            its readers in one process.
     """
 
     name = "bag_player"

@@ -29,8 +29,11 @@ TAKE_TIMEOUT_S = 0.2
 """How long the sender waits for a frame before it looks whether it should end. Chosen: larger, the
 node ends later; smaller, an idle camera wakes the processor more often."""
 SILENT_S = 3.0
-"""A camera without a frame for this long is reported on /diagnostics."""
+"""A camera without a frame for this long is reported on /diagnostics. Chosen: larger, a stopped
+camera is reported later; smaller, one frame in seconds counts as stopped."""
 ACKNOWLEDGE_TIMEOUT = Duration(seconds=5)
+"""At the end of a recording, for readers to take its last images. Chosen: larger, a reader that has
+stopped holds up the end; smaller, one that is slow loses images."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +131,7 @@ class CameraNode(GeoOrbitNode[CameraParameters]):
     """Publishes `image/compressed`.
 
     One thread reads the source, another one encodes and publishes, so that neither a slow reader
-    nor a busy executor holds up the camera. A stream that is lost is opened again, for ever.
+    nor a busy executor holds up the camera. A stream that is lost is opened again, without end.
 
     Attributes:
         finished: Whether a recording has been published to its end.
@@ -187,7 +190,7 @@ class CameraNode(GeoOrbitNode[CameraParameters]):
         """End both threads; one that is inside a system call ends with it."""
         self._feed.stop()
         self._sender.stop()
-        if not self.finished or not self.context.ok():  # told to end: nobody can be waited for
+        if not self.finished or not self.context.ok():  # told to end: there is no time to wait
             return
         if not self.images.wait_for_all_acked(ACKNOWLEDGE_TIMEOUT):
             self.get_logger().warning("the last images were not acknowledged within 5 s")

@@ -62,7 +62,7 @@ class CarlaBridgeNode(GeoOrbitNode[CarlaBridgeParameters]):
         self.server = CarlaClient(p.host, p.port, p.timeout_s, road, p.step_s)
         self.vehicles = CarlaVehicles(self.server)
         self._offset: NDArray[np.float64] | None = None
-        self._stamp_ns, self._pictures = 0, 0
+        self._stamp_ns, self._images = 0, 0
         qos = stream_qos(p.reliability, p.queue_depth)
         for camera in cameras:
             topic = f"{camera.name}/carla/image/compressed"
@@ -72,13 +72,14 @@ class CarlaBridgeNode(GeoOrbitNode[CarlaBridgeParameters]):
         self.create_subscription(NavSatFix, "twin/datum", self._on_datum, LATCHED)
 
     def diagnostic_values(self) -> Mapping[str, object]:
-        """Vehicles in CARLA, those without room, and pictures."""
+        """Vehicles in CARLA, those without room, and images."""
         vehicles = self.vehicles
         return {
             "located": "no" if self._offset is None else "yes",
             "vehicles": len(vehicles.actors),
             "without_room": vehicles.refused,
-            "pictures": self._pictures,
+            "images": self._images,
+            "pictures": self._images,  # the old name, until 0.2
         }
 
     def close(self) -> None:
@@ -109,7 +110,7 @@ class CarlaBridgeNode(GeoOrbitNode[CarlaBridgeParameters]):
     ) -> None:
         cdr = encode_jpeg(self._stamp_ns, f"{name}_optical", image, self.p.jpeg_quality)
         publisher.publish(cdr)  # type: ignore[attr-defined]  # an rclpy publisher
-        self._pictures += 1
+        self._images += 1
 
 
 def main(args: Sequence[str] | None = None) -> int:

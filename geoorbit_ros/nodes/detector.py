@@ -32,10 +32,13 @@ from geoorbit_ros.storage.image_cdr import StampedPicture, decode_compressed_ima
 LOSSLESS_DEPTH = 4
 """Messages held here when none may be lost; DDS holds the rest, and then the publisher waits."""
 STOP_TIMEOUT_S = 10.0
+"""For the image that is being worked on when the node ends. Chosen: longer than any model takes for
+one image on a slow machine."""
 _WAIT_S = 0.2
+"""Between two looks whether the thread should end. Chosen: larger, it ends later."""
 
 Decoder = Callable[[bytes, str], StampedPicture]
-OnPicture = Callable[[int, str, NDArray[np.uint8]], None]
+OnImage = Callable[[int, str, NDArray[np.uint8]], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +86,7 @@ class DetectorNode(GeoOrbitNode[DetectorParameters]):
             PointCloud2, "detections", stream_qos(p.reliability, p.queue_depth)
         )
         self._found = 0
-        self.stream = ImageStream(self, p, self._on_picture, self._on_restart)
+        self.stream = ImageStream(self, p, self._on_image, self._on_restart)
         self.diagnostics.add_check(self._fault)
 
     def diagnostic_values(self) -> Mapping[str, object]:
@@ -116,10 +119,10 @@ class DetectorNode(GeoOrbitNode[DetectorParameters]):
             ),
         )
 
-    def _on_picture(self, stamp_ns: int, frame_id: str, picture: NDArray[np.uint8]) -> None:
-        rows = self._detector.detect(stamp_ns, picture)
+    def _on_image(self, stamp_ns: int, frame_id: str, image: NDArray[np.uint8]) -> None:
+        rows = self._detector.detect(stamp_ns, image)
         if self._segments is None:
-            self._segments = RoadSegments((picture.shape[1], picture.shape[0]))
+            self._segments = RoadSegments((image.shape[1], image.shape[0]))
         inside = self._segments.add(stamp_ns, rows)
         self._found += len(rows)
         kept = rows[inside] if self.p.only_on_road else rows
@@ -153,9 +156,9 @@ class ImageStream:
     Args:
         node: Subscribes, and counts in its diagnostics.
         parameters: Quality of service, and what counts as a restart.
-        on_picture: Takes stamp, frame id and picture of each frame in order, in the thread; may
+        on_image: Takes stamp, frame id and image of each frame in order, in the thread; may
             raise GeoOrbitError to refuse.
-        on_restart: Called before the first picture of a source that started again.
+        on_restart: Called before the first image of a source that started again.
 
     Attributes:
         received: Frames that came.
@@ -167,12 +170,12 @@ class ImageStream:
         self,
         node: GeoOrbitNode[Any],
         parameters: StreamParameters,
-        on_picture: OnPicture,
+        on_image: OnImage,
         on_restart: Callable[[], None],
     ) -> None:
         self.received = self.dropped = 0
         self.error: Exception | None = None
-        self._node, self._on_picture, self._on_restart = node, on_picture, on_restart
+        self._node, self._on_image, self._on_restart = node, on_image, on_restart
         self._order = FrameOrder(parameters.restart_jump_s)
         self._lossless = parameters.queue_depth == 0
         self._depth = parameters.queue_depth or LOSSLESS_DEPTH
@@ -192,7 +195,7 @@ class ImageStream:
         self._thread.start()
 
     def stop(self) -> None:
-        """End the thread after the picture it is at."""
+        """End the thread after the image it is at."""
         with self._change:
             self._stopping = True
             self._change.notify_all()
@@ -229,10 +232,10 @@ class ImageStream:
     def _work(self, cdr: bytes, decoder: Decoder, place: str) -> None:
         start_s, diagnostics = time.perf_counter(), self._node.diagnostics
         try:
-            stamp_ns, frame_id, picture = decoder(cdr, place)
+            stamp_ns, frame_id, image = decoder(cdr, place)
             self._check_order(stamp_ns, place)
-            self._check_size(picture, place)
-            self._on_picture(stamp_ns, frame_id, picture)
+            self._check_size(image, place)
+            self._on_image(stamp_ns, frame_id, image)
             diagnostics.handled(stamp_ns)
         except GeoOrbitError as error:
             diagnostics.refuse(error)
@@ -250,9 +253,9 @@ class ImageStream:
             self._node.get_logger().info(f"{place}: {jump}")
             self._on_restart()
 
-    def _check_size(self, picture: NDArray[np.uint8], place: str) -> None:
+    def _check_size(self, image: NDArray[np.uint8], place: str) -> None:
         """Control points are pixels of one size: other boxes would lie elsewhere on the road."""
-        size = (picture.shape[1], picture.shape[0])
+        size = (image.shape[1], image.shape[0])
         self._size = self._size or size
         if size != self._size:
             found = f"an image of {size[0]}x{size[1]} pixels"

@@ -28,6 +28,7 @@ from geoorbit_ros.nodes.support.process import run_node
 from geoorbit_ros.nodes.support.qos import LATCHED, model_qos, updates_qos
 
 PERIOD_S = 0.5
+"""Between two looks at deadlines. Chosen: short beside `deadline_s`; larger, rounds end later."""
 
 
 @dataclass(frozen=True, slots=True)

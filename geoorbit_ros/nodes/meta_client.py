@@ -27,6 +27,7 @@ from geoorbit_ros.nodes.support.reference_listener import ReferenceListener
 from geoorbit_ros.nodes.support.table_stream import TableStream
 
 PERIOD_S = 0.1
+"""Between two looks at the training process. Chosen: larger, updates leave later."""
 
 
 @dataclass(frozen=True, slots=True)

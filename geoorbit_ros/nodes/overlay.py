@@ -26,6 +26,7 @@ from geoorbit_ros.report.image_overlay import ImageOverlay
 from geoorbit_ros.storage.image_cdr import decode_compressed_image, stamp_of_image
 
 LOOK_S = 0.5
+"""Between two looks for viewers. Chosen: larger, the first image comes later."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +41,7 @@ class OverlayParameters:
 
 
 class OverlayNode(GeoOrbitNode[OverlayParameters]):
-    """Publishes `image/annotated/compressed`, and reads and draws only while somebody looks at it.
+    """Publishes `image/annotated/compressed`, and reads and draws only while it has a viewer.
 
     Subscribes `image/compressed`, `tracks_px` and `lanes/geojson`. An image is drawn when the
     tracks of its stamp come.
@@ -53,7 +54,7 @@ class OverlayNode(GeoOrbitNode[OverlayParameters]):
     struct = OverlayParameters
 
     def setup(self) -> None:
-        """Make the topic, and wait for somebody to look."""
+        """Make the topic, and wait for a viewer."""
         p = self.p
         points = read_control_points(p.calibration_file, None) if p.calibration_file else None
         self._datum = points.datum if points else None
@@ -67,7 +68,7 @@ class OverlayNode(GeoOrbitNode[OverlayParameters]):
         self.create_timer(LOOK_S, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def diagnostic_values(self) -> Mapping[str, object]:
-        """Whether anybody looks."""
+        """How many viewers there are."""
         return {"viewers": self._shown.get_subscription_count(), "waiting": len(self._images)}
 
     def _look(self) -> None:

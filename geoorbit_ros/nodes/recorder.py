@@ -24,6 +24,7 @@ from geoorbit_ros.storage.database.writer import TrajectoryDatabase
 FLUSH_PERIOD_S = 0.5
 """A kill costs less than a second, also when the camera has fallen silent."""
 DAY_NS = 86_400_000_000_000
+"""Nanoseconds of a day."""
 
 
 @dataclass(frozen=True, slots=True)

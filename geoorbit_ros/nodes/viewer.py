@@ -21,6 +21,7 @@ from geoorbit_ros.nodes.support.qos import LATCHED_ALL
 from geoorbit_ros.viewer.server import ViewerServer
 
 STREAM_DEPTH = 5
+"""Messages kept while the server is busy. Chosen: larger, a slow viewer sees older images."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +35,7 @@ class ViewerParameters:
 
 
 class ViewerNode(GeoOrbitNode[ViewerParameters]):
-    """Offers every topic that has a publisher; a stream is subscribed while somebody looks at it.
+    """Offers every topic that has a publisher; a stream is subscribed while a viewer looks at it.
 
     Boxes are also offered as shapes over the image (`image/annotations`), lane maps as GeoJSON
     (`lanes/map`).

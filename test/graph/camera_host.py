@@ -3,8 +3,8 @@
 camera_host.py NAME KEY_FILE SERVER_KEY FOLDER [ENCODING]    ends with 0 once training is over
 
 It keeps its state in FOLDER/NAME.npz and writes the round to FOLDER/NAME.learning when it begins to
-learn or judge for it. Where there is a FOLDER/NAME.go, it ends that only once the number in it is
-as high.
+train or validate for it. Where there is a FOLDER/NAME.go, it ends that only once the number in it
+is as high.
 """
 
 import sys

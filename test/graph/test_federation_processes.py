@@ -176,7 +176,7 @@ def test_kill_9_in_mid_round_changes_no_bit_of_the_final_model(processes: Proces
     processes.again("server")
     for name in CAMERAS:
         processes.go(name, 3)
-    # Everybody while the last model is judged.
+    # Every client while the last model is validated.
     processes.all_learning(ROUNDS + 1)
     processes.again("server", *CAMERAS)
     processes.all_learning(ROUNDS + 1)
@@ -189,7 +189,7 @@ def test_kill_9_in_mid_round_changes_no_bit_of_the_final_model(processes: Proces
     state = processes.state()
     assert state is not None
     assert state.finished
-    # The last entry is the verdict on the final model, which nobody trains on.
+    # The last entry is the verdict on the final model, which no client trains on.
     assert [record.updates for record in state.history] == [*[len(CAMERAS)] * ROUNDS, 0]
     expected = uninterrupted(Roster.read(processes.folder / "roster.txt"))
     assert state.model.tobytes() == expected.model.tobytes()

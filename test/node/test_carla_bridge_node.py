@@ -1,4 +1,4 @@
-"""The CARLA bridge as a node: without a server it says so; with one, vehicles and pictures go."""
+"""The CARLA bridge as a node: without a server it says so; with one, vehicles and images go."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -42,7 +42,7 @@ def test_without_a_server_it_says_so_in_one_sentence(nodes: Composition, road: P
 
 
 class Server:
-    """In place of a server: remembers its actors, and sends a grey picture with every tick."""
+    """In place of a server: remembers its actors, and sends a grey image with every tick."""
 
     def __init__(self, *_: object) -> None:
         self.actors: dict[int, CarlaPose] = {}
@@ -72,7 +72,7 @@ class Server:
         self.closed = True
 
 
-def test_vehicles_and_pictures(
+def test_vehicles_and_images(
     nodes: Composition, road: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(carla_bridge, "CarlaClient", Server)
@@ -100,7 +100,7 @@ def test_vehicles_and_pictures(
     assert placed_camera.pose.y == pytest.approx(-camera.centre_m[1], abs=1.5)
     assert placed_camera.pose.z == pytest.approx(camera.centre_m[2], abs=1.5)
     probe = Probe(nodes, "site", "twin")
-    pictures = probe.listen("north/carla/image/compressed", CompressedImage, KEEP_ALL)
+    images = probe.listen("north/carla/image/compressed", CompressedImage, KEEP_ALL)
     send = probe.table_publisher("twin/tracks")
     send(START_NS, rows([(1, 10.0, 5.0)]))
     probe.until(lambda: node.diagnostics.refused == 1, "the refusal")
@@ -109,13 +109,13 @@ def test_vehicles_and_pictures(
     probe.until(lambda: node.diagnostic_values()["located"] == "yes", "the datum")
     for k in range(1, 4):
         send(START_NS + k * STEP_NS, rows([(1, 10.0 + 2.0 * k, 5.0), (2, 50.0, 5.0)]))
-    probe.until(lambda: len(pictures) == 3, "the pictures")
+    probe.until(lambda: len(images) == 3, "the images")
     assert server.actors[1].x == pytest.approx(16.0, abs=1e-3)
     assert server.actors[1].y == pytest.approx(-5.0, abs=1e-3)
-    image = cv2.imdecode(np.frombuffer(bytes(pictures[-1].data), np.uint8), cv2.IMREAD_COLOR)
+    image = cv2.imdecode(np.frombuffer(bytes(images[-1].data), np.uint8), cv2.IMREAD_COLOR)
     assert image is not None
     assert image.shape == (height, width, 3)
-    assert pictures[-1].header.frame_id == "north_optical"
+    assert images[-1].header.frame_id == "north_optical"
     node.close()
     assert server.closed
     assert not server.actors

@@ -33,7 +33,7 @@ def model(tmp_path: Path) -> Path:
     return red_finder(tmp_path / "red.onnx", "nms_free", CANVAS, 10, said)
 
 
-def picture(left: int, size: tuple[int, int] = CANVAS) -> NDArray[np.uint8]:
+def made_image(left: int, size: tuple[int, int] = CANVAS) -> NDArray[np.uint8]:
     image = np.full((size[1], size[0], 3), 90, np.uint8)
     image[40:60, left : left + 30] = (0, 0, 255)
     return image
@@ -57,20 +57,20 @@ def start(
 def test_tables_are_those_of_the_detector(nodes: Composition, model: Path) -> None:
     _, probe, images = start(nodes, model)
     for k in range(12):
-        images.publish(message(k, picture(10 * k)))
+        images.publish(message(k, made_image(10 * k)))
     heard = probe.heard["detections"]
     probe.until(lambda: len(heard) == 12, "all frames")
     own = OnnxYolo(model)
     for k, (stamp_ns, frame_id, rows) in enumerate(heard):
         assert (stamp_ns, frame_id) == ((k + 1) * 10**8, "pole_optical_frame")
-        assert rows.tobytes() == own.detect(0, picture(10 * k)).tobytes()
+        assert rows.tobytes() == own.detect(0, made_image(10 * k)).tobytes()
         assert rows["x"][0] == pytest.approx(10 * k + 15, abs=0.1)
 
 
 def test_raw_images_are_taken_too(nodes: Composition, model: Path) -> None:
     _, probe, _ = start(nodes, model)
     images = probe.publisher("image", Image)
-    rgb = picture(50)[:, :, ::-1]
+    rgb = made_image(50)[:, :, ::-1]
     raw = Image(height=96, width=160, encoding="rgb8", step=480, data=rgb.tobytes())
     raw.header.stamp.sec = 7
     images.publish(raw)
@@ -83,7 +83,7 @@ def test_raw_images_are_taken_too(nodes: Composition, model: Path) -> None:
 def test_without_a_model_moving_things_are_found(nodes: Composition) -> None:
     _, probe, images = start(nodes, "")
     for k in range(30):
-        images.publish(message(3 * k, picture(5 * k if k > 12 else 200)))
+        images.publish(message(3 * k, made_image(5 * k if k > 12 else 200)))
     heard = probe.heard["detections"]
     probe.until(lambda: len(heard) == 30, "all frames")
     assert [len(rows) for _, _, rows in heard[:13]] == [0] * 13
@@ -95,15 +95,15 @@ def test_images_that_cannot_be_used_are_refused_and_the_next_one_is_taken(
     nodes: Composition, model: Path
 ) -> None:
     node, probe, images = start(nodes, model)
-    images.publish(message(0, picture(0)))
+    images.publish(message(0, made_image(0)))
     heard = probe.heard["detections"]
     probe.until(lambda: len(heard) == 1, "the first")
     images.publish(encode_compressed_image(2 * 10**8, "f", "jpeg", b"no picture"))
-    images.publish(message(3, picture(0, (80, 64))))
-    images.publish(message(0, picture(0)))
+    images.publish(message(3, made_image(0, (80, 64))))
+    images.publish(message(0, made_image(0)))
     probe.until(lambda: node.diagnostics.refused == 3, "three refusals")
     assert "stamps that increase" in str(node.diagnostics.last_refusal)
-    images.publish(message(4, picture(0)))
+    images.publish(message(4, made_image(0)))
     probe.until(lambda: len(heard) == 2, "the one after")
     status = probe.status_of("/north/detector")
     assert status["refused"] == "3"
@@ -129,10 +129,10 @@ def test_when_it_is_behind_the_oldest_images_are_dropped_and_counted(
 
     monkeypatch.setattr("geoorbit_ros.nodes.detector.make_detector", make_slow)
     node, probe, images = start(nodes, model, reliability="reliable", queue_depth=2)
-    images.publish(message(0, picture(0)))
+    images.publish(message(0, made_image(0)))
     probe.until(begun.is_set, "the first image to be worked on")
     for k in range(1, 6):
-        images.publish(message(k, picture(0)))
+        images.publish(message(k, made_image(0)))
         probe.until(lambda k=k: node.stream.received == k + 1, "it to arrive")  # type: ignore[misc]
     gate.set()
     heard = probe.heard["detections"]
@@ -149,11 +149,11 @@ def test_road_segments_are_published_for_late_joiners_and_others_are_counted(
     monkeypatch.setattr(road_segments, "UPDATE_S", 1.0)
     _, probe, images = start(nodes, model, only_on_road=True)
     for k in range(45):
-        images.publish(message(k, picture((3 * k) % 120)))
+        images.publish(message(k, made_image((3 * k) % 120)))
     heard = probe.heard["detections"]
     probe.until(lambda: len(heard) == 45, "all frames on the road")
     before = int(probe.status_of("/north/detector")["boxes_outside_road_segments"])
-    images.publish(message(45, np.roll(picture(60), 36, axis=0)))
+    images.publish(message(45, np.roll(made_image(60), 36, axis=0)))
     probe.until(lambda: len(heard) == 46, "the frame beside it")
     assert len(heard[44][2]) == 1
     assert len(heard[45][2]) == 0

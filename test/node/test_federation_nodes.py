@@ -217,7 +217,7 @@ def test_cameras_learn_together_over_topics(
         assert client.client.tensors is not None
         for name, value in server.server.published.items():
             np.testing.assert_array_equal(client.client.tensors[name], value)
-        assert client.session.trained == 4  # the last time it only judged
+        assert client.session.trained == 4  # the last time it only validated
         assert client.diagnostics.refused == 0, client.diagnostics.last_refusal
     assert server.diagnostics.refused == 0, server.diagnostics.last_refusal
 
@@ -237,7 +237,10 @@ def test_cameras_learn_together_over_topics(
     )
     assert (last.camera_id, last.round, last.model) == ("north", 4, clients[0].client.used)
     first = ThetaPayload.decode(b"".join(heard[0].data))
-    assert (first.model, first.values) == (0, asdict(LaneParameters()))  # nobody had judged yet
+    assert (first.model, first.values) == (
+        0,
+        asdict(LaneParameters()),
+    )  # none validated yet
     assert json.loads(statuses[-1].data)["finished"] is True
 
 

@@ -171,20 +171,20 @@ def test_camera_and_twin_side_by_side(nodes: Composition, net: Path, tmp_path: P
     given = {"calibrations": str(file), "image_sizes": "1280x720", "side_by_side_period_s": 0.5}
     node = start(nodes, net, cameras="north", **given)
     probe, send = speak(nodes, "north")
-    pictures = probe.listen("twin/side_by_side/compressed", CompressedImage, BEST_EFFORT)
+    images = probe.listen("twin/side_by_side/compressed", CompressedImage, BEST_EFFORT)
     eye = probe.publisher("image/compressed", CompressedImage, BEST_EFFORT)
     grey = cv2.imencode(".jpg", np.full((720, 1280, 3), 200, np.uint8))[1].tobytes()
     probe.until(lambda: len(node.known) == 1, "the datum")
     eye.publish(CompressedImage(format="jpeg", data=grey))
-    publisher = node.pictures._publishers["north"]
+    publisher = node.side_by_side._publishers["north"]
     probe.until(lambda: publisher.get_subscription_count() == 1, "a listener")
-    probe.until(lambda: "north" in node.pictures._image, "the image")
+    probe.until(lambda: "north" in node.side_by_side._image, "the image")
     for k in range(10):
         send(START_NS + k * STEP_NS, rows([(1, 110.0 + 2.0 * k, LANE_Y)]))
-    probe.until(lambda: len(pictures) >= 1, "a picture")
-    image = cv2.imdecode(np.frombuffer(bytes(pictures[0].data), np.uint8), cv2.IMREAD_COLOR)
+    probe.until(lambda: len(images) >= 1, "an image")
+    image = cv2.imdecode(np.frombuffer(bytes(images[0].data), np.uint8), cv2.IMREAD_COLOR)
     assert image is not None
     assert image.shape == (360, 3 * 640, 3)
     assert np.abs(image[300, 100].astype(int) - 200).max() < 6  # the camera's own, grey
     assert np.ptp(image[:, 640:1280].reshape(-1, 3), axis=0).min() > 100  # the twin's, a road
-    assert pictures[0].header.frame_id == "north_optical"
+    assert images[0].header.frame_id == "north_optical"

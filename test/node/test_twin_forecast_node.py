@@ -105,7 +105,7 @@ def test_a_forecast_leaves_the_live_twin_as_it_is(net: Path) -> None:
     ]
     seen = told[0]["observed_flow_per_h"]["east"]
     assert seen == pytest.approx(3 * 3600 * 20.0 / 80.0, rel=0.1)
-    # Nobody was seen beyond the fork: three lanes lead into the bend, one to the ramp.
+    # No vehicle was seen beyond the fork: three lanes lead into the bend, one to the ramp.
     bend = sum(flows[0][f"bend_{k}"] for k in range(3))
     assert bend + flows[0]["ramp_0"] == pytest.approx(seen, rel=0.2)
     assert 2.0 < bend / flows[0]["ramp_0"] < 4.5

@@ -1,4 +1,4 @@
-"""A camera from pictures to lanes, with the twin: all that people look at is there."""
+"""A camera from images to lanes, with the twin: all that people look at is there."""
 
 import base64
 import time

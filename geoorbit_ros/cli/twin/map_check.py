@@ -77,11 +77,11 @@ def patch(lanes: LanesArgument, net: NetOption, out: OutOption) -> None:
         text = json.dumps(result.record(file.datum), indent=2, ensure_ascii=False)
         (folder / "patch.json").write_text(text + "\n", encoding="utf-8")
         name = file.camera_id or lanes.name
-        for picture, road, found, title in (
+        for image, road, found, title in (
             ("before.png", network, result.before, f"{net.name} as seen by {name}"),
             ("after.png", result.network, result.after, f"patched: {net.name} as seen by {name}"),
         ):
-            save_validation(folder / picture, seen, road, found, title)
+            save_validation(folder / image, seen, road, found, title)
     _print_findings(result.before)
     say(
         f"{count_of(len(result.done), 'finding')} corrected, {len(result.left)} left; the patched "

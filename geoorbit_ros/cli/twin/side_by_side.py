@@ -55,12 +55,12 @@ def save_all_side_by_side(
     """
     said: list[str] = []
     for stream, bag, points in zip(streams, bags, calibrations, strict=True):
-        film = video if stream is streams[0] else None
+        own_video = video if stream is streams[0] else None
         if step is None:
             break
         try:
             said.append(
-                save_side_by_side(folder, network, step, stream, bag, points, image_size, film)
+                save_side_by_side(folder, network, step, stream, bag, points, image_size, own_video)
             )
         except GeoOrbitError as error:
             said.append(f"No side-by-side image: {error}")

@@ -19,6 +19,7 @@ from geoorbit_ros.twin.forecast.runs import ForecastJob
 from geoorbit_ros.twin.scenario import Scenario, parse_scenario
 
 POLL_S = 0.2
+"""Between two looks for a result. Chosen: short beside a forecast, which takes seconds."""
 
 
 class ScenarioParameters(Protocol):

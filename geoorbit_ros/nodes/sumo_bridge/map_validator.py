@@ -23,6 +23,7 @@ from geoorbit_ros.nodes.support.qos import LATCHED
 from geoorbit_ros.roadnet.network import RoadNetwork
 
 POLL_S = 0.5
+"""Between two looks for a result. Chosen: short beside the seconds between two maps of a camera."""
 
 
 class MapValidator:

@@ -102,7 +102,7 @@ class SumoBridgeNode(GeoOrbitNode[SumoBridgeParameters]):
         self.map = MapValidator(self, network, cameras, p.frame_id, period_s, *moves)
         self.known, self.unusable = self.map.datums, dict[str, GeoOrbitError]()
         aligned = self.map.watch.alignments if p.align else {}
-        self.pictures = SideBySide(
+        self.side_by_side = SideBySide(
             self, p.network, network.datum, views, p.side_by_side_period_s, aligned
         )
         for camera in cameras:
@@ -126,7 +126,7 @@ class SumoBridgeNode(GeoOrbitNode[SumoBridgeParameters]):
     def close(self) -> None:
         """End the simulation."""
         self.map.close()
-        self.pictures.close()
+        self.side_by_side.close()
         self.forecaster.close()
         self.runner.close()
 
@@ -144,7 +144,7 @@ class SumoBridgeNode(GeoOrbitNode[SumoBridgeParameters]):
     def _on_step(self, step: TwinStep) -> None:
         self.twin.publish(step)
         self.forecaster.traffic.add(step)
-        self.pictures.add(step)
+        self.side_by_side.add(step)
 
     def _on_frame(self, camera: str, place: str, stamp_ns: int, rows: NDArray[np.void]) -> None:
         self.twin.arrived_s = time.perf_counter()

@@ -29,20 +29,20 @@ QUALITY = 80
 
 
 class SideBySide:
-    """Makes a picture now and then, in a thread of its own: no frame of the twin waits for one.
+    """Makes an image now and then, in a thread of its own: no frame of the twin waits for it.
 
-    While a picture is made, the next ones are left out.
+    While one is made, the next ones are left out.
 
     Args:
         node: Subscribes `<camera>/image/compressed` and `<camera>/tracks_px`, and publishes.
         network: The network's file.
         datum: Origin of the twin's map frame.
         views: Of the cameras whose calibrations are known.
-        period_s: Time between two pictures, by the stamps of the twin; 0 makes none.
+        period_s: Time between two images, by the stamps of the twin; 0 makes none.
         alignments: What each camera's tracks are moved by.
 
     Attributes:
-        pictures: Published so far.
+        published: Images so far.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class SideBySide:
     ) -> None:
         self._node, self._network, self._datum, self._views = node, network, datum, views
         self._period_ns, self._alignments = round(period_s * 1e9), alignments
-        self._due_ns, self.pictures = 0, 0
+        self._due_ns, self.published = 0, 0
         self._cameras: dict[str, TwinCamera] = {}
         self._image: dict[str, bytes] = {}
         self._boxes: dict[str, NDArray[np.void]] = {}
@@ -91,7 +91,7 @@ class SideBySide:
         )
 
     def close(self) -> None:
-        """Finish the picture that is being made."""
+        """Finish the image that is being made."""
         self._worker.shutdown(wait=True, cancel_futures=True)
 
     def _on_image(self, camera: str, cdr: bytes) -> None:
@@ -125,7 +125,7 @@ class SideBySide:
                 self._alignments.get(camera),
             )
             publisher.publish(encode_jpeg(stamp_ns, f"{camera}_optical", image, QUALITY))
-            self.pictures += 1
+            self.published += 1
 
     def _decoded(self, camera: str, images: Mapping[str, bytes]) -> NDArray[np.uint8] | None:
         """The camera's latest image; None where there is none that can be used."""

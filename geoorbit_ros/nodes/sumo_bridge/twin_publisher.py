@@ -26,6 +26,7 @@ from geoorbit_ros.twin.health import HealthReport, HealthWindow
 from geoorbit_ros.twin.placement import TwinStep, track_rows
 
 CLOCK_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""As rclcpp's ClockQoS: the newest time only."""
 
 
 class TwinPublisher:

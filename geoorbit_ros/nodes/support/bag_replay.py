@@ -19,8 +19,8 @@ from geoorbit_ros.nodes.support.composition import Composition
 from geoorbit_ros.nodes.support.qos import LATCHED_ALL
 
 START_TIMEOUT_S = 20.0
-"""For nodes to find each other, which takes a second on an idle machine. Chosen: larger, a graph
-that can't work is reported later; smaller, a busy machine fails."""
+"""For nodes to find each other. Chosen: larger, a graph that can't work is reported later; smaller,
+a busy machine fails."""
 STALL_TIMEOUT_S = 120.0
 """Longer than any single lane update takes."""
 WINDOW = 500
@@ -102,7 +102,7 @@ class _Nodes:
     """The nodes of a replay, and how far its frames are.
 
     Attributes:
-        player, homography, lanes: In the order in which frames pass them.
+        player, homography, lanes: In the order in which frames go through them.
         readers: The nodes that read tracks: `lanes` and, where one is asked for, a recorder.
         update: Client of the service that derives the last map.
         maps: What came on `lanes/geojson`.

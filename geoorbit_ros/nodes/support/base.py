@@ -16,7 +16,8 @@ from geoorbit_ros.nodes.support.diagnostics import Diagnostics
 from geoorbit_ros.parameters import NodeParameters
 
 PUBLISH_TIMEOUT_S = 30.0
-"""How long a publisher that keeps everything waits for readers that are behind."""
+"""How long a publisher that keeps everything waits for readers that are behind. Chosen: larger, a
+reader that hangs is reported later; smaller, one that is busy for a while loses messages."""
 
 Struct = TypeVar("Struct")
 

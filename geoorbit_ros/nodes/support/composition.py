@@ -63,6 +63,7 @@ class DomainClaim:
 
 
 STEP_S = 0.05
+"""How long one spin waits at most. Chosen: larger, Ctrl-C and conditions are noticed later."""
 
 AnyNode = TypeVar("AnyNode", bound=Node)
 AnyGeoOrbitNode = TypeVar("AnyGeoOrbitNode", bound=GeoOrbitNode[Any])

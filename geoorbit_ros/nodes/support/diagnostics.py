@@ -15,10 +15,13 @@ from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.fleet.health import NodeReport
 
 PERIOD_S = 1.0
+"""Between two reports: the default of ROS's diagnostic_updater."""
 LOG_PERIOD_S = 10.0
-"""A reason that persists is logged this often."""
+"""A reason that persists is logged this often. Chosen: larger, it is overlooked; smaller, it hides
+the rest of the log."""
 OLD_S = 600.0
-"""Stamps older than this are a recording's own, not the present: they have no age."""
+"""Stamps older than this are a recording's own, not the present: they have no age.
+Chosen: longer than any delay of a live graph."""
 QUEUE = 1000
 """More nodes than a fleet reports with in a second."""
 

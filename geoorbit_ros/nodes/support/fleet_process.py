@@ -66,7 +66,7 @@ class Heartbeat:
         self._due_s = 0.0
 
     def beat(self) -> bool:
-        """Show that the loop turns; False when nobody listens any more."""
+        """Show that the loop turns; False when the supervisor has gone."""
         now = time.monotonic()
         if now < self._due_s:
             return True

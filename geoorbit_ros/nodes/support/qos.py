@@ -41,7 +41,7 @@ only costs memory when they come."""
 
 
 def updates_qos(reliability: str = "reliable") -> QoSProfile:
-    """For updates: many may come at once, nobody needs those of before.
+    """For updates: many may come at once, and a late joiner needs none of before.
 
     Args:
         reliability: `reliable` or, for a server whose clients send again by themselves,

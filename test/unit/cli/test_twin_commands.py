@@ -1,4 +1,4 @@
-"""`geoorbit twin forecast`, and the picture of `twin replay`, as a user meets them."""
+"""`geoorbit twin forecast`, and the image of `twin replay`, as a user meets them."""
 
 import json
 from pathlib import Path
@@ -64,6 +64,6 @@ def test_replay_shows_camera_and_twin_side_by_side(
     assert "boxes seen and rendered" in said
     matched = int(said.partition("boxes seen and rendered: ")[2].split()[0])
     assert matched >= 5
-    picture = cv2.imread(str(out / "side_by_side_straight_3x3.png"))
-    assert picture is not None
-    assert picture.shape == (360, 1920, 3)
+    image = cv2.imread(str(out / "side_by_side_straight_3x3.png"))
+    assert image is not None
+    assert image.shape == (360, 1920, 3)
