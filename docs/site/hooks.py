@@ -6,6 +6,7 @@ from typing import Any
 
 import mermaidx
 from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
@@ -25,6 +26,12 @@ OUTSIDE = {
 
 LINK = re.compile(r"(\]\(|(?:src|srcset|href)=\")(?!https?:|mailto:|#)([^)\s\"#]+)")
 DIAGRAM = re.compile(r"^```mermaid\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+LOADS = re.compile(
+    r"<(?:script|img|source|iframe)[^>]+src(?:set)?=.?https?://[^ >]*"
+    r"|<link(?![^>]+canonical)[^>]+href=.?https?://[^ >]*"
+)
+"""What a browser would load from another host."""
+
 LIST = re.compile(r"^  (\w+) --> (.+)$", re.MULTILINE)
 IMAGES = f"{REPOSITORY}/raw/main/docs/"
 """Where the README shows its images from, so that a package index shows them, too."""
@@ -61,6 +68,13 @@ def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
     if source not in OUTSIDE.values() and not source.startswith("api/"):
         markdown = moved_links(markdown, ROOT / "docs" / source, source)
     return DIAGRAM.sub(lambda block: drawn(block[1]), markdown)
+
+
+def on_post_build(config: MkDocsConfig) -> None:
+    """Fail if a page loads anything from another host."""
+    for page in sorted(Path(config.site_dir).rglob("*.html")):
+        if found := LOADS.search(page.read_text(encoding="utf-8")):
+            raise PluginError(f"{page}: loads {found[0]!r} from another host")
 
 
 def api_pages() -> list[tuple[str, str, str]]:

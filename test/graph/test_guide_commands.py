@@ -116,8 +116,8 @@ def prepare(page: str) -> None:
     way = '<way id="9" version="1"><nd ref="1"/><nd ref="2"/><tag k="highway" v="primary"/></way>'
     Path("area.osm").write_text(f'<?xml version="1.0"?><osm version="0.6">{nodes}{way}</osm>')
     for block in blocks(page, "python"):
-        if name := re.match(r"# (\w+\.py)\n", block):
-            Path(name[1]).write_text(block, encoding="utf-8")
+        if file := re.match(r"# (\w+\.py)\n", block):
+            Path(file[1]).write_text(block, encoding="utf-8")
 
 
 @pytest.mark.slow
