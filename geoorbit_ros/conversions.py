@@ -27,7 +27,7 @@ from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from geoorbit_ros.calibration.datum import Datum
-from geoorbit_ros.core.cdr import ENCAPSULATION, SECOND_NS, CdrReader, CdrWriter
+from geoorbit_ros.core.cdr import ENCAPSULATION, SECOND_NS, CdrReader, CdrWriter, with_stamp
 from geoorbit_ros.core.errors import MessageError
 from geoorbit_ros.core.lanes import Lane, LaneMap
 from geoorbit_ros.storage.pointcloud2 import decode_table, encode_table
@@ -92,7 +92,7 @@ def time_from_ns(stamp_ns: int) -> Time:
 
 def encode_clock(stamp_ns: int) -> bytes:
     """`rosgraph_msgs/Clock`, serialised."""
-    return ENCAPSULATION + struct.pack("<iI", *divmod(stamp_ns, SECOND_NS))
+    return with_stamp(ENCAPSULATION, stamp_ns)
 
 
 def encode_string(text: str) -> bytes:

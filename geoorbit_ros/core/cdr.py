@@ -17,6 +17,9 @@ from numpy.typing import NDArray
 from geoorbit_ros.core.errors import MessageError
 
 ENCAPSULATION = b"\x00\x01\x00\x00"
+"""Header of plain CDR, little-endian, without options."""
+LITTLE_ENDIAN = ENCAPSULATION[:2]
+"""Its part without the options, which some writers use."""
 MAX_ITEMS = 1 << 16
 """Most items of one sequence of texts or numbers. Chosen: far more than any message here has, and
 so few that a damaged length can't make its reader allocate much."""
@@ -24,7 +27,6 @@ SECOND_NS = 1_000_000_000
 """Nanoseconds of a second."""
 
 _NUMBERS = {kind: struct.Struct(f"<{kind}") for kind in "bBhHiIqQfd"}
-_LITTLE_ENDIAN = ENCAPSULATION[:2]
 _LENGTH = struct.Struct("<I")
 _STAMP = struct.Struct("<iI")
 _HEADER = struct.Struct("<iII")
@@ -33,6 +35,17 @@ _HEADER = struct.Struct("<iII")
 
 class CdrError(MessageError):
     """Bytes that are not the message that they should be."""
+
+
+def stamp_of(message: bytes) -> int:
+    """Nanoseconds of the stamp that a serialised message begins with, without looking further."""
+    second, nanosecond = _STAMP.unpack_from(message, 4)
+    return int(second) * SECOND_NS + int(nanosecond)
+
+
+def with_stamp(message: bytes, stamp_ns: int) -> bytes:
+    """The message with another stamp at its beginning."""
+    return message[:4] + _STAMP.pack(*divmod(stamp_ns, SECOND_NS)) + message[4 + _STAMP.size :]
 
 
 class CdrWriter:
@@ -119,7 +132,7 @@ class CdrReader:
 
     def __init__(self, message: bytes, place: str, kind: str = "a whole message") -> None:
         self._data, self._place, self._kind, self._at = message, place, kind, 4
-        if not message.startswith(_LITTLE_ENDIAN):
+        if not message.startswith(LITTLE_ENDIAN):
             self._malformed(
                 f"CDR encapsulation 0x{message[:2].hex()}", f"0x0001, little-endian, of {kind}"
             )

@@ -15,6 +15,7 @@ from std_msgs.msg import String
 from geoorbit_ros.calibration.control_points import read_control_points
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.conversions import decode_string, decode_table, encode_jpeg
+from geoorbit_ros.core.cdr import stamp_of
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE
@@ -23,7 +24,7 @@ from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.nodes.support.process import run_node
 from geoorbit_ros.nodes.support.qos import LATCHED, stream_qos
 from geoorbit_ros.report.image_overlay import ImageOverlay
-from geoorbit_ros.storage.image_cdr import decode_compressed_image, stamp_of_image
+from geoorbit_ros.storage.image_cdr import decode_compressed_image
 
 LOOK_S = 0.5
 """Between two looks for viewers. Chosen: larger, the first image comes later."""
@@ -87,7 +88,7 @@ class OverlayNode(GeoOrbitNode[OverlayParameters]):
             self._images.clear()
 
     def _on_image(self, cdr: bytes) -> None:
-        self._images[stamp_of_image(cdr)] = cdr
+        self._images[stamp_of(cdr)] = cdr
         while len(self._images) > self.p.waiting_images:
             del self._images[next(iter(self._images))]
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.core.cdr import SECOND_NS, CdrReader
+from geoorbit_ros.core.cdr import CdrReader
 from geoorbit_ros.core.errors import MessageError
 
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
@@ -29,12 +29,6 @@ _CONVERSIONS: dict[str, tuple[int, int | None]] = {
 
 StampedPicture = tuple[int, str, NDArray[np.uint8]]
 """Capture time in nanoseconds, frame id, and (H, W, 3) blue, green, red."""
-
-
-def stamp_of_image(cdr: bytes) -> int:
-    """Capture time in nanoseconds of a serialised image of either kind, without looking further."""
-    second, nanosecond = struct.unpack_from("<iI", cdr, 4)
-    return int(second) * SECOND_NS + int(nanosecond)
 
 
 def decode_compressed_image(cdr: bytes, place: str) -> StampedPicture:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable, Iterable, Iterator
 from functools import lru_cache
 
 from rosbags.typesys import Stores, get_typestore
 
+from geoorbit_ros.core.cdr import LITTLE_ENDIAN, stamp_of, with_stamp
 from geoorbit_ros.storage.bag_reader import BagMessage
 
 
@@ -105,10 +105,7 @@ def _from_offset(messages: Iterable[BagMessage], start_offset_s: float) -> Itera
             yield message
 
 
-_STAMP = struct.Struct("<iI")
-_STAMP_AT = 4
 """A header's stamp comes first, after the encapsulation header (OMG DDS-RTPS 2.5, section 10)."""
-_LITTLE_ENDIAN = 1
 """Second byte of the encapsulation header, where numbers are little-endian."""
 
 
@@ -148,11 +145,10 @@ def begun_at(messages: Iterable[BagMessage], first_ns: int) -> Iterator[BagMessa
 def _moved(message: BagMessage, shift_ns: int) -> BagMessage:
     """A message recorded, and stamped, later by `shift_ns`."""
     cdr = message.cdr
-    if _has_header(message.message_type) and cdr[1] == _LITTLE_ENDIAN:
-        sec, nanosec = _STAMP.unpack_from(cdr, _STAMP_AT)
-        if sec or nanosec:  # a zero stamp means "none"
-            moved = divmod(sec * 1_000_000_000 + nanosec + shift_ns, 1_000_000_000)
-            cdr = cdr[:_STAMP_AT] + _STAMP.pack(*moved) + cdr[_STAMP_AT + _STAMP.size :]
+    if _has_header(message.message_type) and cdr.startswith(LITTLE_ENDIAN):
+        stamp_ns = stamp_of(cdr)
+        if stamp_ns:  # a zero stamp means "none"
+            cdr = with_stamp(cdr, stamp_ns + shift_ns)
     return message._replace(time_ns=message.time_ns + shift_ns, cdr=cdr)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -347,19 +346,11 @@ class FederatedServer:
         return self._broadcast.announce(state, self._open(now_s), self._flags)
 
     def _record(self, outcome: Outcome, now_s: float) -> None:
-        """Keep what came of the round; without two of them the last verdict stands."""
-        state, seconds = self._state, now_s - self._opened_s
-        record = RoundRecord(state.round, outcome.training_clients, outcome.loss, seconds)
-        verdict = outcome.gains.verdict()
+        """Keep what came of the round; with fewer than two gains the last verdict stands."""
+        state, verdict = self._state, outcome.gains.verdict()
         if verdict is not None:
             state.approved = state.digests[state.round] if verdict.accepted else 0
-            record = replace(
-                record,
-                validation_clients=verdict.clients,
-                gain=verdict.gain,
-                gain_error=verdict.error,
-                approved=verdict.accepted,
-            )
+        record = RoundRecord.of(state.round, outcome, verdict, now_s - self._opened_s)
         state.history.append(record)
 
     def _advance(self, outcome: Outcome) -> None:

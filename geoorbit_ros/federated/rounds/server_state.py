@@ -7,7 +7,7 @@ import json
 import os
 import zipfile
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.federated.errors import FederationError
 from geoorbit_ros.federated.payloads.model_layout import ModelLayout, Vector
+from geoorbit_ros.federated.rounds.open_round import Outcome
+from geoorbit_ros.federated.rounds.verdict import Verdict
 from geoorbit_ros.storage.atomic import atomic_output
 
 
@@ -97,6 +99,22 @@ class RoundRecord:
     gain: float = float("nan")
     gain_error: float = float("nan")
     approved: bool = False
+
+    @classmethod
+    def of(
+        cls, number: int, outcome: Outcome, verdict: Verdict | None, seconds: float
+    ) -> RoundRecord:
+        """The record of a round with this outcome and verdict."""
+        record = cls(number, outcome.training_clients, outcome.loss, seconds)
+        if verdict is None:
+            return record
+        return replace(
+            record,
+            validation_clients=verdict.clients,
+            gain=verdict.gain,
+            gain_error=verdict.error,
+            approved=verdict.accepted,
+        )
 
 
 @dataclass(slots=True)
