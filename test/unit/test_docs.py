@@ -84,3 +84,13 @@ def test_dev_explains_the_docs_requirements() -> None:
         if not line.startswith("#"):
             assert f"`{line.partition('==')[0]}`" in record, line
             assert line in (REPOSITORY / "requirements" / "docs-lock.txt").read_text()
+
+
+@pytest.mark.parametrize("guide", GUIDES, ids=lambda path: str(path.relative_to(REPOSITORY)))
+def test_files_and_commands_that_are_named_exist(guide: Path) -> None:
+    text = guide.read_text(encoding="utf-8")
+    folders = (REPOSITORY, REPOSITORY / "geoorbit_ros", guide.parent)
+    for name in re.findall(r"`((?:[\w-]+/)+[\w-]+\.(?:py|msg))`", text):
+        assert any((folder / name).exists() for folder in folders), name
+    commands = getattr(get_command(app), "commands", {})
+    assert set(re.findall(r"`geoorbit ([a-z]+)", text)) <= set(commands)
