@@ -1,6 +1,7 @@
 """Fixtures for tests of every kind."""
 
 import signal
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
@@ -12,6 +13,48 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 # The same examples in every run: a red test is the change's doing, not the dice's.
 settings.register_profile("repeatable", derandomize=True)
 settings.load_profile("repeatable")
+
+UNIT = Path(__file__).parent / "unit"
+LONG = [
+    "accuracy",
+    "byzantine",
+    "crash_points",
+    "driven_lanes",
+    "export",
+    "extend_guide",
+    "forecast",
+    "frame_source",
+    "geolane_corners",
+    "lane_embedding",
+    "map_build",
+    "map_validation",
+    "motion",
+    "process_scene",
+    "real_cameras",
+    "render_boxes",
+    "render_image",
+    "render_scene",
+    "scene_output",
+    "scene_run",
+    "side_by_side",
+    "study",
+    "thrift",
+    "tracker_on_recordings",
+    "traffic",
+    "twin_commands",
+    "twin_map_commands",
+    "twin_replay",
+    "twin_truth",
+]
+"""Files of test/unit, without `test_`, that take seconds: what simulates, renders or trains."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark every other unit test as `quick`."""
+    long_files = {f"test_{name}" for name in LONG}
+    for item in items:
+        if UNIT in item.path.parents and item.path.stem not in long_files:
+            item.add_marker("quick")
 
 
 @pytest.fixture(scope="session")

@@ -158,3 +158,11 @@ def test_the_index_lists_every_decision_record() -> None:
     records = {path.name for path in folder.glob("[0-9]*.md")}
     listed = re.findall(r"\]\((\d{4}-[\w-]+\.md)\)", (folder / "README.md").read_text())
     assert sorted(listed) == sorted(records)
+
+
+def test_the_files_that_quick_leaves_out_exist() -> None:
+    text = (REPOSITORY / "test" / "conftest.py").read_text()
+    match = re.search(r"LONG = \[(.*?)\]", text, re.DOTALL)
+    assert match is not None
+    names = {path.name for path in (REPOSITORY / "test" / "unit").rglob("test_*.py")}
+    assert {f"test_{name}.py" for name in re.findall(r'"(\w+)"', match[1])} <= names

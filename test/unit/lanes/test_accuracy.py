@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from made_lane_traffic import rotated
 from test_curvilinear import lanes_of
-from traffic import rotated
 
 from geoorbit_ros.calibration.box_projector import BoxProjector
 from geoorbit_ros.calibration.control_points import read_control_points

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from made_lane_traffic import Stream, arc, rotated, straight, traffic
 from numpy.typing import NDArray
-from traffic import Stream, arc, rotated, straight, traffic
 
 from geoorbit_ros.core.lanes import Lane, LaneMap
 from geoorbit_ros.core.polylines import project

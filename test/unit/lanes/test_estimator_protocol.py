@@ -7,8 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from made_lane_traffic import Stream, straight, traffic
 from numpy.typing import NDArray
-from traffic import Stream, straight, traffic
 
 from geoorbit_ros.core.lanes import Lane, LaneMap, Status
 from geoorbit_ros.core.tables import Frames

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from traffic import Stream, straight, traffic
+from made_lane_traffic import Stream, straight, traffic
 
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.core.lanes import LaneMap

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from traffic import Stream, straight, traffic
+from made_lane_traffic import Stream, straight, traffic
 
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.core.tables import Frames

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from made_lane_traffic import Stream, straight, traffic
 from numpy.typing import NDArray
-from traffic import Stream, straight, traffic
 
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.polylines import offset_line

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_lane_traffic import rotated
 from tasks import road
-from traffic import rotated
 
 from geoorbit_ros.core.tables import Frames
 from geoorbit_ros.learning.features import CLIP, FEATURE_NAMES, scene_features
