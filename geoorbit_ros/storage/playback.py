@@ -105,10 +105,6 @@ def _from_offset(messages: Iterable[BagMessage], start_offset_s: float) -> Itera
             yield message
 
 
-"""A header's stamp comes first, after the encapsulation header (OMG DDS-RTPS 2.5, section 10)."""
-"""Second byte of the encapsulation header, where numbers are little-endian."""
-
-
 def endless(read: Callable[[], Iterable[BagMessage]]) -> Iterator[BagMessage]:
     """All messages again and again; ends at once for a recording without messages.
 
