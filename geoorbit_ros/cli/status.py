@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from geoorbit_ros.cli.inputs import DomainOption
+
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
@@ -34,9 +36,7 @@ def status(
         float,
         typer.Option("--wait", min=0.0, help="With --once: wait so many s until all is healthy."),
     ] = 0.0,
-    domain_id: Annotated[
-        int | None, typer.Option(min=0, max=232, help="ROS domain; default: the environment's.")
-    ] = None,
+    domain_id: DomainOption = None,
 ) -> None:
     """Show frame rates, latencies, drops, vehicles and lanes of every camera, live.
 

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from geoorbit_ros.cli.inputs import DomainOption
+
 if TYPE_CHECKING:
     from geoorbit_ros.nodes.support.composition import Composition
     from geoorbit_ros.nodes.viewer import ViewerNode
@@ -37,9 +39,7 @@ def view(
     layout: Annotated[
         Path | None, typer.Option(help="Write a layout for the cameras in the graph here.")
     ] = None,
-    domain_id: Annotated[
-        int | None, typer.Option(min=0, max=232, help="ROS domain; default: the environment's.")
-    ] = None,
+    domain_id: DomainOption = None,
 ) -> None:
     """Serve images with boxes, tracks, lanes, maps and diagnostics to viewers, until Ctrl-C.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
 from rclpy.clock import Clock, ClockType
@@ -70,13 +70,14 @@ class FederatedServerParameters:
         """The part that the state machine takes."""
         least = MIN_CLIENTS if self.secure_aggregation else MIN_VALIDATION_CLIENTS
         divisor = validation_divisor(roster, self.validate_every, least)
-        shared = {f.name for f in fields(ServerConfig)} & {f.name for f in fields(self)}
-        values = {name: getattr(self, name) for name in shared}
+        own = asdict(self)
+        values = {f.name: own[f.name] for f in fields(ServerConfig) if f.name in own}
         return ServerConfig(run=run, interface=INTERFACE, validation_divisor=divisor, **values)
 
     def settings(self) -> StrategySettings:
         """The part that strategies take."""
-        return StrategySettings(**{f.name: getattr(self, f.name) for f in fields(StrategySettings)})
+        own = asdict(self)
+        return StrategySettings(**{f.name: own[f.name] for f in fields(StrategySettings)})
 
 
 class FederatedServerNode(GeoOrbitNode[FederatedServerParameters]):

@@ -148,3 +148,16 @@ class Played(Sequence[np.ndarray]):
         for k, image in enumerate(self._images):
             clock.wait(max(began_s + k / FPS - time.monotonic(), 0.0))
             yield image
+
+
+@pytest.mark.parametrize("option", ["--road-image", "--picture"])
+def test_the_image_of_the_road_has_a_new_name_and_an_old_one(
+    option: str, processed: Processed, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    image, boxes = tmp_path / "road.png", tmp_path / "det.txt"
+    words = ["detect", str(processed.film / "video.mp4"), "--out", str(boxes), "--duration", "2"]
+    assert main([*words, option, str(image)]) == 0
+    assert cv2.imread(str(image)) is not None
+    assert boxes.exists()
+    warned = "--picture is now --road-image" in capsys.readouterr().err
+    assert warned == (option == "--picture")

@@ -29,3 +29,11 @@ def test_it_gives_way_and_when_killed_is_replaced(background: BackgroundProcess)
     with pytest.raises(BrokenProcessPool):
         unfinished.result(LIMIT_S)
     assert background.submit(os.getpid).result(LIMIT_S) not in (first, os.getpid())
+
+
+def test_a_terminals_ctrl_c_is_for_the_process_that_it_works_for(
+    background: BackgroundProcess,
+) -> None:
+    blocked = background.submit(signal.pthread_sigmask, signal.SIG_BLOCK, ()).result(LIMIT_S)
+    assert blocked >= {signal.SIGINT, signal.SIGTERM}
+    assert not signal.pthread_sigmask(signal.SIG_BLOCK, ()) & {signal.SIGINT, signal.SIGTERM}
