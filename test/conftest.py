@@ -4,14 +4,17 @@ import signal
 from pathlib import Path
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 from made_up_camera import MadeUpCamera, make_camera
 
 # A shell's background job ignores Ctrl-C, and so would every process the tests start and interrupt.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# The same examples in every run: a red test is the change's doing, not the dice's.
-settings.register_profile("repeatable", derandomize=True)
+# The same examples in every run: a red test is the change's doing, not that of chance. No limits of
+# time: a busy machine is slow.
+settings.register_profile(
+    "repeatable", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
 settings.load_profile("repeatable")
 
 UNIT = Path(__file__).parent / "unit"
