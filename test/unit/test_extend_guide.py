@@ -14,6 +14,7 @@ from geoorbit_ros.federated.strategies.strategy import make_strategy
 from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.lanes.geojson import read_lanes
 from geoorbit_ros.parameters import load_schema
+from geoorbit_ros.tracking.tracker import make_tracker
 
 ROOT = Path(__file__).parents[2]
 GUIDE = (ROOT / "docs" / "guide-extend.md").read_text(encoding="utf-8")
@@ -24,7 +25,7 @@ DEMO = ROOT / "bags" / "demo"
 def written(tmp_path: Path) -> Path:
     """A folder with the files of the guide."""
     blocks = re.findall(r"```python\n# (\w+\.py)\n(.*?)```", GUIDE, re.DOTALL)
-    assert [name for name, _ in blocks] == ["red.py", "wide.py", "cautious.py"]
+    assert [name for name, _ in blocks] == ["red.py", "large.py", "wide.py", "cautious.py"]
     for name, text in blocks:
         (tmp_path / name).write_text(text, encoding="utf-8")
     return tmp_path
@@ -38,6 +39,15 @@ def test_the_detector_finds_what_is_red(written: Path) -> None:
     assert box.dtype == DETECTION_DTYPE
     found = [float(box[key]) for key in ("x", "y", "width", "height")]
     assert found == pytest.approx([119.5, 49.5, 40.0, 20.0])
+
+
+def test_the_tracker_follows_large_boxes_only(written: Path) -> None:
+    tracker = make_tracker(f"{written}/large.py:Large")
+    boxes = np.zeros(2, DETECTION_DTYPE)
+    boxes["x"], boxes["y"], boxes["width"], boxes["score"] = [100, 300], 100, 40, 0.9
+    boxes["height"] = [10, 30]
+    (track,) = tracker.update(1, boxes)
+    assert float(track["x"]) == 300.0
 
 
 def test_the_estimator_runs_from_the_command_line(written: Path) -> None:
