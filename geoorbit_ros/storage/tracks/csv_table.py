@@ -1,0 +1,162 @@
+"""Tracked boxes as CSV with a header, of geoorbit's own columns or of any others.
+
+geoorbit's own columns are `id,time,frame_num,class,conf,x,y,w,h`, with x, y in the middle of the
+box. Others are recognised by their names: corners (`x1,y1,x2,y2`; `x_min,…`, as supervision's
+CSVSink writes), the upper left corner and a size (`left,top,width,height`), or named by the user.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from geoorbit_ros.core.errors import InputFileError, ParameterError
+from geoorbit_ros.core.input_report import Treatment
+from geoorbit_ros.storage.tracks.csv_text import CsvText, decode, read_csv_text
+from geoorbit_ros.storage.tracks.raw_tracks import Array, RawTracks
+from geoorbit_ros.storage.tracks.times import parse_times
+
+NAMES: dict[str, tuple[str, ...]] = {
+    "id": ("id", "track_id", "tracker_id", "trackid", "object_id", "vehicle_id", "obj_id", "tid"),
+    "time": (
+        "time", "time_s", "timestamp", "timestamp_s", "t", "seconds", "datetime", "stamp",
+        "time_ms", "timestamp_ms", "time_ns", "timestamp_ns", "stamp_ns", "time_us", "timestamp_us",
+    ),
+    "frame": (
+        "frame_num", "frame", "frame_id", "frame_index", "frame_idx", "frame_number", "frame_no",
+    ),
+    "class": ("class", "class_name", "class_id", "label", "category", "cls", "type"),
+    "conf": ("conf", "confidence", "score", "prob", "probability"),
+    "x": ("x", "cx", "xc", "x_center", "center_x", "x_centre"),
+    "y": ("y", "cy", "yc", "y_center", "center_y", "y_centre"),
+    "w": ("w", "width", "bbox_width", "box_width", "bb_width", "bbox_w"),
+    "h": ("h", "height", "bbox_height", "box_height", "bb_height", "bbox_h"),
+    "x1": ("x1", "xmin", "x_min", "xtl", "bbox_x1", "bbox_xmin", "x_1"),
+    "y1": ("y1", "ymin", "y_min", "ytl", "bbox_y1", "bbox_ymin", "y_1"),
+    "x2": ("x2", "xmax", "x_max", "xbr", "bbox_x2", "bbox_xmax", "x_2", "right"),
+    "y2": ("y2", "ymax", "y_max", "ybr", "bbox_y2", "bbox_ymax", "y_2", "bottom"),
+    "left": ("left", "bbox_left", "bb_left", "x_left", "bbox_x"),
+    "top": ("top", "bbox_top", "bb_top", "y_top", "bbox_y"),
+}  # fmt: skip
+"""Names of columns by what they mean, the first that a file has counts; case and blanks don't."""
+_CENTRE, _CORNERS = ("x", "y", "w", "h"), ("x1", "y1", "x2", "y2")
+_CORNER, _EDGES = ("left", "top", "w", "h"), ("left", "top", "x2", "y2")
+_POINT = ("x", "y")
+
+
+class CsvTable:
+    """`TrackFormat` for CSV files with a header."""
+
+    name = "CSV"
+    expected = "a CSV file of tracks with the columns id,time,frame_num,class,conf,x,y,w,h"
+
+    def recognises(self, path: Path, head: bytes) -> bool:
+        """Whether the first line with content has words where other lines have numbers."""
+        try:
+            text = decode(head, str(path), self.expected)
+        except InputFileError:
+            return False
+        line = next((s for s in text.splitlines() if s.strip() and not s.startswith("#")), "")
+        cells = re.split(r"[,;\t]", line)
+        words = [cell for cell in cells if re.search(r"[A-Za-z]", cell)]
+        return len(cells) > 1 and 2 * len(words) > len(cells)
+
+    def read(self, path: Path, columns: dict[str, str]) -> RawTracks:
+        """See `TrackFormat.read`."""
+        table = read_csv_text(path, self.expected)
+        roles = _roles(table, columns, str(path))
+        shape = _shape(roles, table, str(path))
+        box = {role: table.numbers(roles[role]) for role in shape}
+        x, y, width, height = _centre(box)
+        count = len(table.line)
+        ground = np.zeros(count, dtype=np.bool_)
+        if shape == _POINT:
+            ground[:] = True
+            table.report.note(
+                Treatment.NOTED, "no column has the boxes' sizes: x, y are taken as ground points"
+            )
+        elif shape == _CENTRE:
+            ground = (width == 0.0) & (height == 0.0)
+        unknown = pa.array([""] * count, pa.string())
+        score = table.numbers(roles["conf"]) if "conf" in roles else np.full(count, np.nan)
+        raw = RawTracks(
+            self.name,
+            table.line,
+            "line",
+            x, y, width, height,
+            ground,
+            table.words(roles["id"]) if "id" in roles else unknown,
+            table.words(roles["class"]) if "class" in roles else unknown,
+            score,
+            table.report,
+        )  # fmt: skip
+        if "frame" in roles:
+            raw.frame = table.numbers(roles["frame"])
+        if "time" in roles:
+            name = roles["time"]
+            text: pa.Array = table.columns[table.names.index(name)]
+            raw.stamp_ns = parse_times(text, name, table.report)
+        return raw
+
+
+def _roles(table: CsvText, columns: dict[str, str], place: str) -> dict[str, str]:
+    """Which column has which meaning."""
+    for meaning, name in columns.items():
+        if meaning not in NAMES:
+            raise ParameterError("option --columns", repr(meaning), f"one of {', '.join(NAMES)}")
+        if name not in table.names:
+            raise InputFileError(
+                place, f"no column '{name}' in '{_shortened(table.names)}'", "that of --columns"
+            )
+    plain = {_plain(name): name for name in reversed(table.names)}
+    found = {
+        meaning: plain[name]
+        for meaning, names in NAMES.items()
+        for name in reversed(names)
+        if name in plain
+    }
+    return found | columns
+
+
+def _shape(roles: dict[str, str], table: CsvText, place: str) -> tuple[str, ...]:
+    """Which columns say where the boxes are."""
+    if "frame" not in roles and "time" not in roles:
+        found = f"no column that says when, in '{_shortened(table.names)}'"
+        expected = "a column time or frame_num, or --columns frame=NAME"
+        raise InputFileError(place, found, expected)
+    if "id" not in roles:
+        found = f"no column with the tracks' ids, in '{_shortened(table.names)}'"
+        raise InputFileError(place, found, "a column id, or --columns id=NAME")
+    for shape in (_CENTRE, _CORNERS, _CORNER, _EDGES, _POINT):
+        if all(role in roles for role in shape):
+            return shape
+    found = f"no columns with boxes in '{_shortened(table.names)}'"
+    expected = "x,y,w,h (middle and size), x1,y1,x2,y2 or left,top,width,height; else --columns"
+    raise InputFileError(place, found, expected)
+
+
+def _centre(box: dict[str, Array]) -> tuple[Array, Array, Array, Array]:
+    """Middle and size of boxes given in any of the ways."""
+    if "x" in box:
+        nothing: NDArray[np.float64] = np.zeros(len(box["x"]))
+        return box["x"], box["y"], box.get("w", nothing), box.get("h", nothing)
+    left, top = box.get("x1", box.get("left")), box.get("y1", box.get("top"))
+    assert left is not None and top is not None  # one of the shapes
+    width = box["w"] if "w" in box else box["x2"] - left
+    height = box["h"] if "h" in box else box["y2"] - top
+    return left + 0.5 * width, top + 0.5 * height, width, height
+
+
+def _plain(name: str) -> str:
+    """A column's name without case, blanks, units in brackets."""
+    text = re.sub(r"[\[(].*?[\])]", "", name.strip().lower())
+    return re.sub(r"[\s.\-]+", "_", text.strip()).strip("_")
+
+
+def _shortened(names: tuple[str, ...]) -> str:
+    text = ",".join(names)
+    return text if len(text) < 200 else f"{text[:200]}…"

@@ -1,0 +1,182 @@
+"""CSV text of any spelling as columns of text, with the line that each row stands on.
+
+UTF-8 and UTF-16 with or without a byte order mark; commas, semicolons or tabs; decimal commas;
+blank lines, comment lines, commas at the end of lines. Lines of another length than the header are
+left out and counted.
+"""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import io
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.csv as pacsv
+from numpy.typing import NDArray
+
+from geoorbit_ros.core.errors import InputFileError
+from geoorbit_ros.core.input_report import InputReport, Treatment
+
+DELIMITERS = (",", ";", "\t")
+_MARKS = (
+    (codecs.BOM_UTF8, "utf-8-sig"),
+    (codecs.BOM_UTF16_LE, "utf-16"),
+    (codecs.BOM_UTF16_BE, "utf-16"),
+)
+_NUMBER = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$"
+_DECIMAL_COMMA = r"^[+-]?\d*,\d+$"
+_NEWLINE, _RETURN = 10, 13
+
+
+@dataclass(frozen=True, slots=True)
+class CsvText:
+    """The columns of a CSV file.
+
+    Attributes:
+        names: As the header has them, without blanks around them.
+        columns: (N,) text per column, in the order of `names`, without blanks around it.
+        line: (N,) line number of each row, from 1.
+        report: Lines that were left out.
+    """
+
+    names: tuple[str, ...]
+    columns: tuple[pa.Array, ...]
+    line: NDArray[np.int64]
+    report: InputReport
+
+    def numbers(self, name: str) -> NDArray[np.float64]:
+        """(N,) a column as numbers, NaN where there is none."""
+        return as_numbers(self.columns[self.names.index(name)])
+
+    def words(self, name: str) -> pa.StringArray:
+        """(N,) a column as text."""
+        return self.columns[self.names.index(name)]
+
+
+def as_numbers(text: pa.Array) -> NDArray[np.float64]:
+    """(N,) numbers, NaN where a text is none; `3,5` counts as 3.5."""
+    try:
+        return np.array(pc.cast(text, pa.float64()), dtype=np.float64)
+    except pa.ArrowInvalid:
+        commas = pc.match_substring_regex(text, _DECIMAL_COMMA)
+        text = pc.if_else(commas, pc.replace_substring(text, ",", "."), text)
+        good = pc.match_substring_regex(text, _NUMBER)
+        numbers = pc.cast(pc.if_else(good, text, pa.scalar(None, pa.string())), pa.float64())
+        return np.array(pc.fill_null(numbers, float("nan")), dtype=np.float64)
+
+
+def decode(data: bytes, place: str, expected: str) -> str:
+    """Text of a file in UTF-8 or UTF-16.
+
+    Raises:
+        InputFileError: Empty, or no text.
+    """
+    if not data.strip(b"\0\xef\xbb\xbf\xff\xfe \t\r\n"):
+        raise InputFileError(place, "an empty file", expected)
+    encoding = next((name for mark, name in _MARKS if data.startswith(mark)), "utf-8")
+    if encoding == "utf-8" and data[1:2] == b"\0":
+        encoding = "utf-16-le"
+    elif encoding == "utf-8" and data[:1] == b"\0":
+        encoding = "utf-16-be"
+    text = data.decode(encoding, errors="replace")
+    if "\0" in text[:4096] or text[:4096].count("�") > 0.05 * len(text[:4096]):
+        raise InputFileError(place, "binary data", expected)
+    return text
+
+
+def read_csv_text(path: Path, expected: str) -> CsvText:
+    """All columns of a CSV file with a header.
+
+    Args:
+        path: The file.
+        expected: What it should be, for errors.
+
+    Raises:
+        InputFileError: No file, no text, or no row below the header.
+    """
+    place = str(path)
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise InputFileError(place, "no such file", expected) from None
+    except OSError as error:
+        raise InputFileError(place, error.strerror or str(error), expected) from None
+    text = decode(data, place, expected)
+    header_line, header = next(
+        (k, line)
+        for k, line in enumerate(text.splitlines(), 1)
+        if line.strip() and not line.lstrip().startswith("#")
+    )
+    delimiter = max(DELIMITERS, key=header.count)
+    names = [name.strip() for name in next(csv.reader([header], delimiter=delimiter))]
+    body = text.split("\n", header_line)[-1] if text.count("\n") >= header_line else ""
+    if not body.strip():
+        raise InputFileError(place, "no row below the header", "at least one row")
+    first = next(line for line in body.splitlines() if line.strip())
+    if first.count(delimiter) == len(names) and first.rstrip().endswith(delimiter):
+        body = re.sub(rf"{re.escape(delimiter)}[ \t]*(?=\r?$)", "", body, flags=re.MULTILINE)
+    report = InputReport(place, "boxes")
+    return _table(body, tuple(names), delimiter, header_line, report)
+
+
+def _table(
+    body: str, names: tuple[str, ...], delimiter: str, header_line: int, report: InputReport
+) -> CsvText:
+    data = body.encode()
+    bad: list[int] = []
+
+    def skip(row: pacsv.InvalidRow) -> str:
+        blank = not row.text.strip(" \t\r\n" + delimiter) or row.text.lstrip().startswith("#")
+        bad.append(-row.number if blank else row.number)
+        return "skip"
+
+    # Names may repeat or be missing in a header; pyarrow needs them unique.
+    unique = [f"{k}" for k in range(len(names))]
+    table = pacsv.read_csv(
+        io.BytesIO(data),
+        read_options=pacsv.ReadOptions(column_names=unique, use_threads=False),
+        parse_options=pacsv.ParseOptions(delimiter=delimiter, invalid_row_handler=skip),
+        convert_options=pacsv.ConvertOptions(
+            column_types=dict.fromkeys(unique, pa.string()), strings_can_be_null=False
+        ),
+    )
+    columns = [
+        pc.utf8_trim_whitespace(table[name].combine_chunks().cast(pa.string())) for name in unique
+    ]
+    lines = _content_lines(data)
+    # Rows are numbered from 1 among the lines that are not empty.
+    keep = np.ones(len(lines), dtype=np.bool_)
+    keep[[abs(number) - 1 for number in bad]] = False
+    line = lines[keep] + header_line
+    wrong = [number for number in bad if number > 0]
+    blank = np.ones(len(line), dtype=np.bool_)
+    for column in columns:
+        blank &= np.array(pc.equal(column, ""), dtype=np.bool_)
+    if blank.any():
+        columns = [column.filter(pa.array(~blank)) for column in columns]
+        line = line[~blank]
+    report.total = len(line) + len(wrong)
+    if wrong:
+        at = int(lines[wrong[0] - 1] + header_line)
+        example = f"line {at}"
+        report.add(
+            Treatment.LEFT_OUT, len(wrong), f"not {len(names)} values as in the header", example
+        )
+    return CsvText(names, tuple(columns), line.astype(np.int64), report)
+
+
+def _content_lines(data: bytes) -> NDArray[np.int64]:
+    """Numbers, from 1, of the lines that are not empty."""
+    text = np.frombuffer(data, np.uint8)
+    ends = np.flatnonzero(text == _NEWLINE)
+    starts = np.concatenate([[0], ends + 1])
+    stops = np.append(ends, len(text))
+    before = np.maximum(stops - 1, 0)
+    length = stops - starts - ((stops > starts) & (text[before] == _RETURN))
+    return np.flatnonzero(length > 0) + 1
