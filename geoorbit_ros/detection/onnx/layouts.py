@@ -10,8 +10,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.core.class_names import COCO_NAMES
 from geoorbit_ros.detection.detector import ModelError
-from geoorbit_ros.detection.onnx.class_names import COCO_NAMES
 from geoorbit_ros.detection.onnx.session import OnnxMetadata
 
 GRID_STRIDES = ((8, 16, 32), (8, 16, 32, 64))

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.core.class_names import shorten, vehicle_class
 from geoorbit_ros.core.plugins import register
 from geoorbit_ros.detection.detector import DetectorSettings, ModelError, as_bgr, detection_rows
-from geoorbit_ros.detection.onnx.class_names import vehicle_classes
 from geoorbit_ros.detection.onnx.layouts import Candidates, GridLayout, choose_layout
 from geoorbit_ros.detection.onnx.model_input import GREY, Letterbox, ModelInput, centred, cornered
 from geoorbit_ros.detection.onnx.session import load_session
@@ -143,3 +143,20 @@ class OnnxYolo:
             found = Candidates(found.boxes[kept], found.score[kept], found.model_class[kept])
         classes = self._coco[found.model_class]
         return detection_rows(box.to_image(found.boxes), found.score, classes, box.image_size)
+
+
+def vehicle_classes(names: Mapping[int, str], count: int, place: str) -> NDArray[np.int64]:
+    """(count,) COCO number of each of a model's classes, -1 where it is no vehicle.
+
+    Raises:
+        ModelError: Not one vehicle among the names.
+    """
+    found = np.full(count, -1, dtype=np.int64)
+    for number, name in names.items():
+        coco = vehicle_class(name)
+        if 0 <= number < count and coco is not None:
+            found[number] = coco
+    if (found < 0).all():
+        said = f"classes {shorten(list(names.values()))}" if names else "no class names"
+        raise ModelError(place, said, "at least one of car, van, truck, bus, motorcycle")
+    return found

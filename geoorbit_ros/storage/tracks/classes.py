@@ -8,9 +8,9 @@ from pathlib import Path
 
 import yaml
 
+from geoorbit_ros.core.class_names import COCO_NAMES, vehicle_class
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.core.tables import UNKNOWN_CLASS
-from geoorbit_ros.detection.vehicle_classes import COCO_NAMES, vehicle_class
 
 OTHER_CLASS = 80
 """The number of classes that are no motor vehicle and none of COCO's 80."""

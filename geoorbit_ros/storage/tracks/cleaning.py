@@ -69,15 +69,15 @@ def clean_tracks(raw: RawTracks, options: ReadOptions, expected: str) -> tuple[F
     size = options.image_size or raw.image_size
     _scale_shares(raw, size)
     use = _usable(raw, size)
+    track_id = _ids(raw, use)
     stamp_ns = _stamps(raw, options, use, expected)
     use &= stamp_ns >= 0
-    track_id = _ids(raw, use)
     report.check(options.strict, expected)
     if not use.any():
         raise InputFileError(report.place, "no box that can be used", expected)
     rows = np.zeros(len(raw), PIXEL_TRACK_DTYPE)
-    rows["x"], rows["y"] = np.nan_to_num(raw.x), np.nan_to_num(raw.y)
-    rows["width"], rows["height"] = np.nan_to_num(raw.width), np.nan_to_num(raw.height)
+    for name, values in (("x", raw.x), ("y", raw.y), ("width", raw.width), ("height", raw.height)):
+        rows[name] = np.where(use, values, 0.0)
     rows["score"], rows["class_id"] = _scores(raw, use), _classes(raw, options)
     rows["track_id"] = track_id
     rows["flags"] = np.where(raw.ground_point, FLAG_GROUND_POINT, 0)

@@ -145,7 +145,8 @@ def _centre(box: dict[str, Array]) -> tuple[Array, Array, Array, Array]:
         nothing: NDArray[np.float64] = np.zeros(len(box["x"]))
         return box["x"], box["y"], box.get("w", nothing), box.get("h", nothing)
     left, top = box.get("x1", box.get("left")), box.get("y1", box.get("top"))
-    assert left is not None and top is not None  # one of the shapes
+    assert left is not None
+    assert top is not None
     width = box["w"] if "w" in box else box["x2"] - left
     height = box["h"] if "h" in box else box["y2"] - top
     return left + 0.5 * width, top + 0.5 * height, width, height

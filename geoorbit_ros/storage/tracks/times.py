@@ -18,6 +18,8 @@ EXACT_TIME_S = 2e6
 MAX_TIME_S = 2.0**31
 """builtin_interfaces/Time holds seconds in 32 bits."""
 _UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_DIGITS = {"s": 9, "ms": 6, "us": 3, "ns": 0}
+"""Decimals of each unit that make a nanosecond."""
 _WORDS = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
 _SINCE_1970 = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"))
 """A time of this size or more, since 1970: in seconds each would be later than the year 5000."""
@@ -73,14 +75,16 @@ def _unit(name: str, numbers: NDArray[np.float64]) -> str:
 def _exact(text: pa.Array, unit: str, seconds: NDArray[np.float64]) -> NDArray[np.int64]:
     """Late times (since 1970) are read again as exact decimals."""
     rough = np.nan_to_num(np.rint(seconds * 1e9), nan=UNKNOWN_NS).astype(np.int64)
-    if unit != "s" or np.nanmax(seconds) < EXACT_TIME_S:
+    if np.nanmax(seconds) < EXACT_TIME_S:
         return rough
+    digits = _DIGITS[unit]
+    plain = pc.if_else(pa.array(np.isfinite(seconds)), text, "0")
     try:
-        decimals = pc.cast(text, pa.decimal128(38, 18))
+        decimals = pc.cast(plain, pa.decimal128(38, 18))
     except (pa.ArrowInvalid, pa.ArrowNotImplementedError):
-        # More digits than the decimal holds, or rows that are no times.
+        # More digits than the decimal holds: such a text came from a float64 anyway.
         return rough
-    exact = pc.round(decimals, 9).cast(pa.decimal128(19, 9))
+    exact = pc.round(decimals, digits).cast(pa.decimal128(19, digits))
     words = np.frombuffer(exact.buffers()[1], np.int64)
     return words[2 * exact.offset :: 2][: len(exact)].copy()
 

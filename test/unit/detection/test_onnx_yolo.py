@@ -8,9 +8,9 @@ from made_models import constant_model, red_finder
 from numpy.typing import NDArray
 from reference_decoder import Box, decode, iou
 
+from geoorbit_ros.core.class_names import COCO_NAMES
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.detection.detector import DetectorSettings, ModelError
-from geoorbit_ros.detection.onnx.class_names import COCO_NAMES
 from geoorbit_ros.detection.onnx.yolo import OnnxYolo
 
 CANVAS = (320, 256)

@@ -1,15 +1,11 @@
-"""Which classes of a model are vehicles, by their names."""
+"""Names of classes: COCO's, and which names are vehicles."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-
-import numpy as np
-from numpy.typing import NDArray
+from collections.abc import Sequence
 
 from geoorbit_ros.core.tables import BUS, CAR, MOTORCYCLE, TRUCK
-from geoorbit_ros.detection.detector import ModelError
 
 _WORDS = {
     CAR: "car cars vehicle vehicles automobile sedan hatchback suv van vans minivan taxi jeep",
@@ -43,23 +39,6 @@ def vehicle_class(name: str) -> int | None:
         if word in _CLASS_OF:
             return _CLASS_OF[word]
     return None
-
-
-def vehicle_classes(names: Mapping[int, str], count: int, place: str) -> NDArray[np.int64]:
-    """(count,) COCO number of each of a model's classes, -1 where it is no vehicle.
-
-    Raises:
-        ModelError: Not one vehicle among the names.
-    """
-    found = np.full(count, -1, dtype=np.int64)
-    for number, name in names.items():
-        coco = vehicle_class(name)
-        if 0 <= number < count and coco is not None:
-            found[number] = coco
-    if (found < 0).all():
-        said = f"classes {shorten(list(names.values()))}" if names else "no class names"
-        raise ModelError(place, said, "at least one of car, van, truck, bus, motorcycle")
-    return found
 
 
 def shorten(names: Sequence[str], limit: int = 6) -> str:
