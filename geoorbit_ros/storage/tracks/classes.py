@@ -72,7 +72,7 @@ def class_number(name: str, table: Mapping[str, str]) -> int:
     number = _whole(text)
     if number is not None:
         if str(number) not in table:
-            return number if -1 <= number < OTHER_CLASS else OTHER_CLASS
+            return number if -(2**31) <= number < 2**31 else OTHER_CLASS
         text = table[str(number)]
     vehicle = vehicle_class(text)
     if vehicle is not None:

@@ -20,10 +20,14 @@ from geoorbit_ros.storage.tracks.csv_text import as_numbers
 from geoorbit_ros.storage.tracks.raw_tracks import Array, RawTracks
 
 MAX_FPS = 1000.0
+"""Chosen: cameras on roads are far slower; a larger number is a typing error."""
+NO_ID = -1
+"""What trackers write for a box that belongs to no track."""
 _NORMALISED = 1.5
 """Boxes whose numbers are all below this are shares of the image, not pixels: the smallest image
 that has room for a vehicle is a hundred times as wide."""
-_PERCENT, _SURE = 100.0, 1.0
+_PERCENT = 100.0
+"""The largest score of detectors that count in percent."""
 CONTRADICTION_SHARE = 0.1
 """Where more frames than this share have an earlier time than the frame before, numbers and times
 say different things. Chosen: a clock that is set while a camera records goes back once or twice."""
@@ -87,7 +91,8 @@ def clean_tracks(raw: RawTracks, options: ReadOptions, expected: str) -> tuple[F
     out_of_order = int(np.count_nonzero(np.diff(stamp_ns[at]) < 0))
     if out_of_order:
         k = int(at[np.argmax(np.diff(stamp_ns[at]) < 0) + 1])
-        report.add(Treatment.NOTED, out_of_order, "not in the order of time", raw.place(k))
+        text = "not in the order of time; they are sorted"
+        report.add(Treatment.REPAIRED, out_of_order, text, raw.place(k))
     at = at[np.argsort(stamp_ns[at], kind="stable")]
     at = _without_twins(raw, rows, stamp_ns, at)
     report.check(options.strict, expected)
@@ -160,6 +165,11 @@ def _stamps(raw: RawTracks, options: ReadOptions, use: Mask, expected: str) -> N
         whole = np.isfinite(frame) & (frame == np.rint(frame)) & (np.abs(frame) < 2**53)
         if stamp_ns is None:
             _leave_out(raw, use, whole, "a frame number that is no whole number")
+        elif (use & ~whole).any():
+            k = int(np.argmax(use & ~whole))
+            count = int((use & ~whole).sum())
+            text = "a frame number that is no whole number; the time counts"
+            raw.report.add(Treatment.REPAIRED, count, text, raw.place(k))
         frame = np.where(whole, frame, np.nan)
     if stamp_ns is not None:
         known = stamp_ns >= 0
@@ -235,14 +245,14 @@ def _spread(numbers: Array, times: Stamps, changed: Mask) -> Stamps:
 
 def _ids(raw: RawTracks, use: Mask) -> NDArray[np.int32]:
     """(N,) ids of 32 bits: the file's own where they are such numbers, else counted from 1."""
-    known = np.array(pc.not_equal(raw.track_id, ""), dtype=np.bool_)
+    numbers = as_numbers(raw.track_id)
+    known = np.array(pc.not_equal(raw.track_id, ""), dtype=np.bool_) & (numbers != NO_ID)
     if use.any() and not known[use].any():
         found = "boxes without ids (detections, not tracks)"
         raise InputFileError(raw.report.place, found, "tracks; geoorbit track makes them")
     _leave_out(raw, use, known, "no id")
-    numbers = as_numbers(raw.track_id)
     small = np.isfinite(numbers) & (numbers == np.rint(numbers))
-    small &= (numbers >= 0) & (numbers <= _INT32.max)
+    small &= (numbers >= _INT32.min) & (numbers <= _INT32.max)
     if small[use].all():
         return np.where(use, np.nan_to_num(numbers), 0).astype(np.int32)
     # Words are numbered in the order in which they first appear.
@@ -250,7 +260,7 @@ def _ids(raw: RawTracks, use: Mask) -> NDArray[np.int32]:
     k = int(np.argmax(use & ~small))
     count = len(encoded.dictionary)
     text = f"{count} ids are no whole numbers of 32 bits; tracks are counted from 1"
-    raw.report.note(Treatment.NOTED, text, f"{raw.place(k)}: {raw.track_id[k]}")
+    raw.report.note(Treatment.REPAIRED, text, f"{raw.place(k)}: {raw.track_id[k]}")
     return np.array(encoded.indices, dtype=np.int32) + 1
 
 
@@ -261,17 +271,22 @@ def _scores(raw: RawTracks, use: Mask) -> NDArray[np.float32]:
     report = raw.report
     if not known.any():
         return np.ones(len(score), dtype=np.float32)
+    if (use & ~known).any():
+        k = int(np.argmax(use & ~known))
+        count = int((use & ~known).sum())
+        text = "a score that is no number; taken as sure"
+        report.add(Treatment.REPAIRED, count, text, raw.place(k))
     low, high = float(score[known].min()), float(score[known].max())
     if low < 0.0 or high > _PERCENT:
         text = f"scores from {low:g} to {high:g}: mapped to 0 to 1 by the logistic function"
         score = 1.0 / (1.0 + np.exp(-np.clip(score, -50.0, 50.0)))
-        report.note(Treatment.NOTED, text)
-    elif high > _SURE:
+        report.note(Treatment.REPAIRED, text)
+    elif high > 1.0:
         percent = high > 0.2 * _PERCENT
         text = f"scores from {low:g} to {high:g}: "
         text += "taken as percent" if percent else "divided by the largest"
         score = score / (_PERCENT if percent else high)
-        report.note(Treatment.NOTED, text)
+        report.note(Treatment.REPAIRED, text)
     return np.where(np.isfinite(score), score, 1.0).astype(np.float32)
 
 

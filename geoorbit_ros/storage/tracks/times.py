@@ -46,7 +46,7 @@ def parse_times(text: pa.Array, name: str, report: InputReport) -> NDArray[np.in
         return np.full(len(numbers), UNKNOWN_NS)
     unit = _unit(name, numbers[finite])
     if unit != "s" and not name.lower().endswith(f"_{unit}"):
-        report.note(Treatment.NOTED, f"column '{name}' is in {_WORDS[unit]}, by its size")
+        report.note(Treatment.REPAIRED, f"column '{name}' is in {_WORDS[unit]}, by its size")
     seconds = numbers * _UNITS[unit]
     stamps = _exact(text, unit, seconds)
     low = seconds[finite].min()
@@ -61,9 +61,9 @@ def _unit(name: str, numbers: NDArray[np.float64]) -> str:
     ending = name.lower().rpartition("_")[2]
     if ending in _UNITS and "_" in name:
         return ending
-    high = float(numbers.max())
+    usual = float(np.median(numbers))
     for least, unit in _SINCE_1970:
-        if high >= least:
+        if usual >= least:
             return unit
     whole = bool(np.all(numbers == np.rint(numbers)))
     steps = np.diff(np.unique(numbers))
@@ -78,7 +78,8 @@ def _exact(text: pa.Array, unit: str, seconds: NDArray[np.float64]) -> NDArray[n
     if np.nanmax(seconds) < EXACT_TIME_S:
         return rough
     digits = _DIGITS[unit]
-    plain = pc.if_else(pa.array(np.isfinite(seconds)), text, "0")
+    within = np.isfinite(seconds) & (np.abs(seconds) <= MAX_TIME_S)
+    plain = pc.if_else(pa.array(within), text, "0")
     try:
         decimals = pc.cast(plain, pa.decimal128(38, 18))
     except (pa.ArrowInvalid, pa.ArrowNotImplementedError):
@@ -104,5 +105,5 @@ def _from_dates(text: pa.Array, report: InputReport) -> NDArray[np.int64]:
         whole = int(moment.replace(microsecond=0).timestamp())
         stamps[k] = whole * 10**9 + moment.microsecond * 1000
     if local:
-        report.note(Treatment.NOTED, "times name no time zone; they are taken as UTC")
+        report.note(Treatment.REPAIRED, "times name no time zone; they are taken as UTC")
     return stamps[np.array(encoded.indices, dtype=np.intp)]

@@ -32,7 +32,8 @@ def pixel_frames(draw: st.DrawFn, min_rows: int = 0) -> Frames:
     counts = draw(st.lists(st.integers(min_rows, 3), min_size=1, max_size=4))
     rows = np.zeros(sum(counts), PIXEL_TRACK_DTYPE)
     offset = np.append(0, np.cumsum(counts)).astype(np.int64)
-    whole = st.integers(-(2**31), 2**31 - 1)
+    # -1 stands for no id in files of tracks.
+    whole = st.integers(-(2**31), 2**31 - 1).filter(lambda number: number != -1)
     for start, count in zip(offset, counts, strict=False):
         ids = draw(st.lists(whole, min_size=count, max_size=count, unique=True))
         for k in range(count):
