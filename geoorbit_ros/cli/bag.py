@@ -8,6 +8,14 @@ from typing import Annotated
 
 import typer
 
+from geoorbit_ros.cli.inputs import (
+    ClassesOption,
+    ColumnsOption,
+    StrictOption,
+    TrackFpsOption,
+    read_options,
+)
+
 app = typer.Typer(help="Make and inspect bags of tracked boxes (rosbag2).", no_args_is_help=True)
 
 
@@ -21,7 +29,8 @@ class StorageName(StrEnum):
 @app.command("from-csv")
 def from_csv(
     tracks: Annotated[
-        Path, typer.Option(help="Boxes: id,time,frame_num,class,conf,x,y,w,h, box centre in px.")
+        Path,
+        typer.Option(help="Tracked boxes, in any format that `geoorbit lanes` takes."),
     ],
     calibration: Annotated[
         Path, typer.Option(help="Control points: pixel_x,pixel_y,latitude,longitude (or x_m,y_m).")
@@ -33,8 +42,12 @@ def from_csv(
     storage: Annotated[
         StorageName, typer.Option(help="mcap: a third of the size; sqlite3: older tools.")
     ] = StorageName.MCAP,
+    fps: TrackFpsOption = None,
+    columns: ColumnsOption = None,
+    classes: ClassesOption = "coco",
+    strict: StrictOption = False,
 ) -> None:
-    """Turn a CSV file of tracked boxes into a bag that `ros2 bag play` and `geoorbit replay` take.
+    """Turn a file of tracked boxes into a bag that `ros2 bag play` and `geoorbit replay` take.
 
     The calibration is checked, so that a bag comes with control points that fit it; the bag itself
     holds pixels only.
@@ -46,15 +59,15 @@ def from_csv(
 
     from geoorbit_ros.calibration.control_points import read_control_points
     from geoorbit_ros.calibration.homography import fit_homography
-    from geoorbit_ros.cli.console import format_size, status
+    from geoorbit_ros.cli.console import format_size, print_remarks, status
     from geoorbit_ros.core.errors import CalibrationError
     from geoorbit_ros.storage.track_bag import describe_bag, write_track_bag
-    from geoorbit_ros.storage.track_csv import read_track_csv
+    from geoorbit_ros.storage.tracks.reader import read_tracks
 
     with status("reading"):
         points = read_control_points(calibration)
         plane = fit_homography(points)
-        frames = read_track_csv(tracks)
+        frames, remarks = read_tracks(tracks, read_options(fps, columns, classes, strict))
         foot = frames.rows["y"] + frames.rows["height"] / 2
         on_road = plane.visible(np.column_stack((frames.rows["x"], foot)))
     if not on_road.any():
@@ -65,6 +78,7 @@ def from_csv(
         )
     with status("writing"):
         write_track_bag(out, camera_id, frames, storage.value)
+    print_remarks(remarks)
     info = describe_bag(out)
     typer.echo(
         f"{out}: /{camera_id}/tracks_px, {info.messages} messages, {len(frames.rows)} boxes, "

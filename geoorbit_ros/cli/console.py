@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterable, Iterator, Sized
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from rich.console import Console
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
     from rich.table import Table
 
+    from geoorbit_ros.core.input_report import InputReport
     from geoorbit_ros.core.lanes import LaneMap
     from geoorbit_ros.learning.processes import Progress
     from geoorbit_ros.metrics.lane_score import LaneScore
@@ -149,6 +151,12 @@ def print_lanes(lane_map: LaneMap, title: str = "Lanes") -> None:
         if lane.status == "tentative":
             say(missing_sentence(lane))
     say(summary_sentence(lane_map.lanes))
+
+
+def print_remarks(report: InputReport) -> None:
+    """Say what was done with the rows of a file, a sentence per kind of fault."""
+    for sentence in report.sentences():
+        say(f"{Path(report.place).name}: {sentence}")
 
 
 def print_score(score: LaneScore) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,9 +17,11 @@ if TYPE_CHECKING:
     from geoorbit_ros.calibration.box_projector import BoxProjector
     from geoorbit_ros.calibration.datum import Datum
     from geoorbit_ros.calibration.homography import Homography
+    from geoorbit_ros.core.input_report import InputReport
     from geoorbit_ros.core.tables import Frames
     from geoorbit_ros.lanes.mapping.mapper import LaneMapper
     from geoorbit_ros.lanes.pipeline import StampedRows
+    from geoorbit_ros.storage.tracks.cleaning import ReadOptions
 
 
 DEFAULT_ESTIMATOR = "curvilinear"
@@ -28,8 +30,32 @@ DEFAULT_ESTIMATOR = "curvilinear"
 TracksOption = Annotated[
     Path | None,
     typer.Option(
-        "--tracks", help="Tracked boxes: a CSV with id, time, frame_num, class, conf, x, y, w, h."
+        "--tracks",
+        help="Tracked boxes: CSV, MOTChallenge, KITTI, UA-DETRAC, CVAT, OTVision, supervision or "
+        "Ultralytics, recognised by content.",
     ),
+]
+TrackFpsOption = Annotated[
+    float | None,
+    typer.Option("--fps", min=0.01, help="Images per second, for track files without times."),
+]
+ColumnsOption = Annotated[
+    str | None,
+    typer.Option(
+        "--columns",
+        metavar="MEANING=NAME,…",
+        help="Names of a CSV's columns, where they are unusual: id=veh,x1=xl,frame=img.",
+    ),
+]
+ClassesOption = Annotated[
+    str,
+    typer.Option(
+        "--classes",
+        help="What class numbers mean: coco, visdrone, detrac, mot, 0=car,1=truck or a YAML file.",
+    ),
+]
+StrictOption = Annotated[
+    bool, typer.Option("--strict", help="Refuse a track file that has any fault.")
 ]
 BagOption = Annotated[
     Path | None, typer.Option("--bag", help="Tracked boxes: a rosbag2 bag with a tracks_px topic.")
@@ -117,6 +143,7 @@ class CameraInput:
         homography: The road plane.
         datum: Origin of the map frame.
         image_size: (width, height) in pixels.
+        input_report: What was done with the rows of the track file.
     """
 
     camera_id: str
@@ -126,6 +153,7 @@ class CameraInput:
     homography: Homography
     datum: Datum
     image_size: tuple[int, int]
+    input_report: InputReport
 
     def projector(self) -> BoxProjector:
         """A fresh projector from boxes to the road."""
@@ -150,13 +178,25 @@ def load_camera(
     image_size: str,
     datum: str | None,
     out: Path,
+    options: ReadOptions | None = None,
 ) -> CameraInput:
     """Read what the options name; `out` must be none of it.
+
+    Args:
+        tracks: Option `--tracks`.
+        bag: Option `--bag`.
+        calibration: Option `--calibration`.
+        camera_id: Option `--camera-id`.
+        image_size: Option `--image-size`.
+        datum: Option `--datum`.
+        out: Option `--out`.
+        options: What else the user says about the track file.
 
     Raises:
         GeoOrbitError: An option, a file or a value in it is wrong.
     """
     from geoorbit_ros.cli.console import status
+    from geoorbit_ros.lanes.pipeline import note_other_classes
 
     size = parse_image_size(image_size)
     if (tracks is None) == (bag is None):
@@ -170,15 +210,38 @@ def load_camera(
     homography, origin = load_calibration(calibration, datum)
     with status(f"reading {source}"):
         if tracks:
-            from geoorbit_ros.storage.track_csv import read_track_csv
+            from geoorbit_ros.storage.tracks.cleaning import ReadOptions
+            from geoorbit_ros.storage.tracks.reader import read_tracks
 
-            name, frames = tracks.absolute().parent.name or "camera", read_track_csv(tracks, size)
+            name = tracks.absolute().parent.name or "camera"
+            sized = replace(options or ReadOptions(), image_size=size)
+            frames, report = read_tracks(tracks, sized)
         else:
+            from geoorbit_ros.core.input_report import InputReport
             from geoorbit_ros.storage.track_bag import read_track_bag
 
             content = read_track_bag(source, camera_id)
             name, frames = content.camera_id, content.frames
-    return CameraInput(camera_id or name, source, calibration, frames, homography, origin, size)
+            report = InputReport(str(source), "boxes", len(frames.rows))
+    note_other_classes(report, frames)
+    return CameraInput(
+        camera_id or name, source, calibration, frames, homography, origin, size, report
+    )
+
+
+def read_options(fps: float | None, columns: str | None, classes: str, strict: bool) -> ReadOptions:
+    """What the user says about a track file.
+
+    Raises:
+        ParameterError: Columns or classes that can't be read.
+    """
+    from geoorbit_ros.storage.tracks.classes import class_table
+    from geoorbit_ros.storage.tracks.cleaning import ReadOptions
+
+    named = dict(pair.split("=", 1) for pair in (columns or "").split(",") if "=" in pair)
+    if columns and len(named) != len(columns.split(",")):
+        raise ParameterError("option --columns", repr(columns), "MEANING=NAME between commas")
+    return ReadOptions(fps=fps, columns=named, classes=class_table(classes), strict=strict)
 
 
 def load_calibration(calibration: Path, datum: str | None) -> tuple[Homography, Datum]:

@@ -12,13 +12,18 @@ from geoorbit_ros.cli.inputs import (
     BagOption,
     CalibrationOption,
     CameraIdOption,
+    ClassesOption,
+    ColumnsOption,
     DatumOption,
     EstimatorOption,
     ImageSizeOption,
+    StrictOption,
+    TrackFpsOption,
     TracksOption,
     UpdatePeriodOption,
     load_camera,
     make_mapper,
+    read_options,
 )
 
 
@@ -32,6 +37,10 @@ def lanes(
     image_size: ImageSizeOption = "1920x1080",
     datum: DatumOption = None,
     update_period_s: UpdatePeriodOption = 5.0,
+    fps: TrackFpsOption = None,
+    columns: ColumnsOption = None,
+    classes: ClassesOption = "coco",
+    strict: StrictOption = False,
     report: Annotated[
         Path | None, typer.Option("--report", help="Also write the HTML report here.")
     ] = None,
@@ -43,13 +52,14 @@ def lanes(
     Example: [bold]geoorbit lanes --tracks tracks.csv --calibration calibration.csv
     --out lanes.geojson --report report.html[/bold]
     """
-    from geoorbit_ros.cli.console import console, print_lanes
+    from geoorbit_ros.cli.console import console, print_lanes, print_remarks
     from geoorbit_ros.lanes.geojson import write_lanes
     from geoorbit_ros.lanes.pipeline import map_lanes
     from geoorbit_ros.report.recording import Recording
     from geoorbit_ros.storage.atomic import atomic_output
 
-    camera = load_camera(tracks, bag, calibration, camera_id, image_size, datum, out)
+    options = read_options(fps, columns, classes, strict)
+    camera = load_camera(tracks, bag, calibration, camera_id, image_size, datum, out, options)
     recording = Recording()
     with atomic_output(out) as path:
         ground = camera.ground_tracks()
@@ -65,4 +75,5 @@ def lanes(
         method = describe_method(estimator, update_period_s)
         save_report(report, camera, lane_map, recording, method)
     print_lanes(lane_map, f"Lanes of {camera.camera_id}")
+    print_remarks(camera.input_report)
     console.print(f" Wrote {out}" + (f" and {report}" if report else ""), soft_wrap=True)

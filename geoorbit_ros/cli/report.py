@@ -13,13 +13,18 @@ from geoorbit_ros.cli.inputs import (
     CalibrationOption,
     CameraIdOption,
     CameraInput,
+    ClassesOption,
+    ColumnsOption,
     DatumOption,
     EstimatorOption,
     ImageSizeOption,
+    StrictOption,
+    TrackFpsOption,
     TracksOption,
     UpdatePeriodOption,
     load_camera,
     make_mapper,
+    read_options,
 )
 
 if TYPE_CHECKING:
@@ -45,6 +50,10 @@ def report(
     image_size: ImageSizeOption = "1920x1080",
     datum: DatumOption = None,
     update_period_s: UpdatePeriodOption = 5.0,
+    fps: TrackFpsOption = None,
+    columns: ColumnsOption = None,
+    classes: ClassesOption = "coco",
+    strict: StrictOption = False,
 ) -> None:
     """Write one HTML page with figures: vehicle paths, lanes over them, widths, confidence.
 
@@ -54,13 +63,14 @@ def report(
     Example: [bold]geoorbit report --tracks tracks.csv --calibration calibration.csv
     --truth truth.geojson --out report.html[/bold]
     """
-    from geoorbit_ros.cli.console import console
+    from geoorbit_ros.cli.console import console, print_remarks
     from geoorbit_ros.lanes.geojson import read_lane_file, read_lanes
     from geoorbit_ros.lanes.pipeline import map_lanes
     from geoorbit_ros.report.recording import Recording
     from geoorbit_ros.report.text import summary_sentence
 
-    camera = load_camera(tracks, bag, calibration, camera_id, image_size, datum, out)
+    options = read_options(fps, columns, classes, strict)
+    camera = load_camera(tracks, bag, calibration, camera_id, image_size, datum, out, options)
     true = read_lanes(truth, camera.datum).lanes if truth else None
     recording = Recording()
     ground = recording.tee(camera.ground_tracks())
@@ -74,6 +84,7 @@ def report(
         lane_map = map_lanes(ground, make_mapper(estimator, update_period_s), str(camera.source))
         method = describe_method(estimator, update_period_s)
     save_report(out, camera, lane_map, recording, method, true)
+    print_remarks(camera.input_report)
     console.print(f"{summary_sentence(lane_map.lanes)} Wrote {out}", soft_wrap=True)
 
 
@@ -97,6 +108,7 @@ def save_report(
         datum=camera.datum,
         image_size=camera.image_size,
         method=method,
+        remarks=tuple(camera.input_report.sentences()),
     )
     content = ReportInput(
         camera.camera_id, lane_map, recording, camera.homography, camera.image_size, made, truth

@@ -41,6 +41,11 @@ def vehicle_class(name: str) -> int | None:
     return None
 
 
+def class_text(number: int) -> str:
+    """Name of a COCO class, or `unknown`."""
+    return COCO_NAMES[number] if 0 <= number < len(COCO_NAMES) else "unknown"
+
+
 def shorten(names: Sequence[str], limit: int = 6) -> str:
     """The first names of a list, for a sentence."""
     rest = len(names) - limit

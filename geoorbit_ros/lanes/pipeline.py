@@ -11,7 +11,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.core.class_names import class_text
 from geoorbit_ros.core.errors import NoTrafficError
+from geoorbit_ros.core.input_report import InputReport, Treatment
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.core.tables import VEHICLE_CLASS_TEXT, VEHICLE_CLASSES, Frames
 from geoorbit_ros.lanes.mapping.mapper import LaneMapper
@@ -35,6 +37,32 @@ class GroundProjector(Protocol):
 
 StampedRows = tuple[int, NDArray[np.void]]
 """Capture time in nanoseconds and the rows of one frame."""
+
+
+def note_other_classes(report: InputReport, frames: Frames) -> None:
+    """Say how many tracks make no lane because their class, in most frames, is no vehicle's.
+
+    Args:
+        report: Takes the remark.
+        frames: Frames of `PIXEL_TRACK_DTYPE`.
+    """
+    ids, owner = np.unique(frames.rows["track_id"], return_inverse=True)
+    classes, kind = np.unique(frames.rows["class_id"], return_inverse=True)
+    votes = np.zeros((len(ids), len(classes)), np.int64)
+    np.add.at(votes, (owner, kind), 1)
+    usual = classes[votes.argmax(axis=1)]
+    other = usual[~np.isin(usual, VEHICLE_CLASSES)]
+    if not len(other):
+        return
+    numbers, counts = np.unique(other, return_counts=True)
+    named = ", ".join(
+        f"{count} of class {number} ({class_text(number)})"
+        for number, count in zip(numbers.tolist(), counts.tolist(), strict=True)
+    )
+    report.note(
+        Treatment.NOTED,
+        f"{len(other)} of {len(ids)} tracks make no lane, as they are no motor vehicles: {named}",
+    )
 
 
 def project_frames(frames: Frames, projector: GroundProjector) -> Iterator[StampedRows]:

@@ -20,6 +20,9 @@ def atomic_output(path: str | Path, *, overwrite: bool = False) -> Iterator[Path
     atomic) and ends in the same name, because some writers name things inside after it. Missing
     parent folders are made, and taken away again when the block fails.
 
+    A device or a pipe (`/dev/stdout`, `/dev/null`) is not replaced: the result is written into it
+    when it is complete.
+
     Args:
         path: Where the result goes. An existing file is replaced.
         overwrite: Also replace an existing folder with content; without it that is refused before
@@ -33,6 +36,10 @@ def atomic_output(path: str | Path, *, overwrite: bool = False) -> Iterator[Path
             written there.
     """
     target = Path(path).absolute()
+    if target.exists() and not (target.is_file() or target.is_dir()):
+        with _written_through(target) as temporary:
+            yield temporary
+        return
     if not overwrite and target.is_dir() and any(target.iterdir()):
         raise InputFileError(
             str(path), "a folder with content", "a path that does not exist yet (or remove it)"
@@ -61,6 +68,22 @@ def atomic_output(path: str | Path, *, overwrite: bool = False) -> Iterator[Path
         _remove_empty(made)
         raise
     shutil.rmtree(scratch, ignore_errors=True)
+
+
+@contextmanager
+def _written_through(target: Path) -> Iterator[Path]:
+    """A temporary file whose content goes into a device or pipe at the end."""
+    with tempfile.TemporaryDirectory() as folder:
+        temporary = Path(folder) / target.name
+        yield temporary
+        if temporary.is_dir():
+            raise InputFileError(str(target), "a device or a pipe", "a folder, for several files")
+        try:
+            with temporary.open("rb") as source, target.open("wb") as sink:
+                shutil.copyfileobj(source, sink)
+        except OSError as error:
+            found = error.strerror or str(error)
+            raise InputFileError(str(target), found, "a place that can be written to") from None
 
 
 def _sync(path: Path) -> None:

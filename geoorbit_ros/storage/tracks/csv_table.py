@@ -83,6 +83,8 @@ class CsvTable:
             ground = (width == 0.0) & (height == 0.0)
         unknown = pa.array([""] * count, pa.string())
         score = table.numbers(roles["conf"]) if "conf" in roles else np.full(count, np.nan)
+        if "conf" not in roles:
+            table.report.note(Treatment.NOTED, "no column has scores: all boxes count as sure")
         raw = RawTracks(
             self.name,
             table.line,

@@ -74,11 +74,11 @@ def _unit(name: str, numbers: NDArray[np.float64]) -> str:
 
 def _exact(text: pa.Array, unit: str, seconds: NDArray[np.float64]) -> NDArray[np.int64]:
     """Late times (since 1970) are read again as exact decimals."""
-    rough = np.nan_to_num(np.rint(seconds * 1e9), nan=UNKNOWN_NS).astype(np.int64)
+    within = np.isfinite(seconds) & (np.abs(seconds) <= MAX_TIME_S)
+    rough = np.rint(np.where(within, seconds, UNKNOWN_NS * 1e-9) * 1e9).astype(np.int64)
     if np.nanmax(seconds) < EXACT_TIME_S:
         return rough
     digits = _DIGITS[unit]
-    within = np.isfinite(seconds) & (np.abs(seconds) <= MAX_TIME_S)
     plain = pc.if_else(pa.array(within), text, "0")
     try:
         decimals = pc.cast(plain, pa.decimal128(38, 18))

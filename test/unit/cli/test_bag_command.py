@@ -42,7 +42,7 @@ def test_a_csv_becomes_a_bag_with_the_same_tracks(
 
 WRONG: list[tuple[str, str, str, str]] = [
     ("tracks", "", "", "input.csv: found no such file"),
-    ("tracks", "id,time,frame_num,class,conf,x,y,w,h", "1,0,0,2,nan,1,2,3,4", "line 2, column 'c"),
+    ("tracks", "id,time,frame_num,class,conf,x,y,w,h", "1,0,0,2,1,nan,2,3,4", "line 2: x nan"),
     ("tracks", "id,time,frame_num,class,conf,x,y,w,h", "1,0,0,2,1,5,-9999,3,4", "the horizon"),
     ("calibration", "pixel_x,pixel_y,x_m,y_m", "1,2,3,4\n4,5,6,7", "found 2 control points"),
     ("camera-id", "", "", "camera id: found 'pole 7'"),

@@ -112,12 +112,32 @@ def edited(path: Path, folder: Path, change: Callable[[list[str]], list[str]]) -
     return broken
 
 
-TRACKS: list[tuple[str, Callable[[list[str]], list[str]], tuple[str, ...]]] = [
-    ("missing column", lambda x: [x[0].replace(",conf", ",trust"), *x[1:]], ("conf",)),
-    ("nan", lambda x: [*x[:5], re.sub(r",2,0\.9,[^,]+", ",2,0.9,nan", x[5]), *x[6:]], ("line 6",)),
-    ("text", lambda x: [*x[:3], x[3].replace(",0.9,", ",sure,"), *x[4:]], ("line 4", "sure")),
+Change = Callable[[list[str]], list[str]]
+FAULTY: list[tuple[str, Change, str]] = [
+    (
+        "no number",
+        lambda x: [*x[:5], re.sub(r",2,0\.9,[^,]+", ",2,0.9,nan", x[5]), *x[6:]],
+        "left out: a position or size that is no number (first: line 6",
+    ),
+    (
+        "a word",
+        lambda x: [*x[:3], x[3].replace(",0.9,", ",sure,"), *x[4:]],
+        "repaired: a score that is no number; taken as sure (first: line 4)",
+    ),
+    (
+        "back in time",
+        lambda x: [x[0], *x[-20:], *x[1:-20]],
+        "repaired: not in the order of time; they are sorted (first: line 22)",
+    ),
+    (
+        "cut short",
+        lambda x: [*x[:-1], x[-1][:12]],
+        "left out: not 9 values as in the header",
+    ),
+]
+TRACKS: list[tuple[str, Change, tuple[str, ...]]] = [
+    ("missing column", lambda x: [x[0].replace("id,", "number,"), *x[1:]], ("ids", "--columns")),
     ("no rows", lambda x: x[:1], ("broken.csv",)),
-    ("back in time", lambda x: [x[0], *x[-20:], *x[1:50]], ("broken.csv", "line")),
     (
         "people",
         lambda x: [x[0], *(",".join((*r.split(",")[:3], "0", *r.split(",")[4:])) for r in x[1:])],
@@ -157,6 +177,43 @@ def test_wrong_tracks(
     tracks = ("--tracks", edited(camera.tracks, folder, change))
     result = run("lanes", *tracks, "--calibration", camera.calibration, "--out", out)
     check_refusal(result, out, words)
+
+
+@pytest.mark.parametrize(("change", "words"), [t[1:] for t in FAULTY], ids=[t[0] for t in FAULTY])
+def test_faulty_rows_are_told_in_table_and_report_and_refused_when_strict(
+    camera: CameraFiles, found: Path, tmp_path: Path, run: Run, change: Change, words: str
+) -> None:
+    folder, out = tmp_path / "in", tmp_path / "out" / "lanes.geojson"
+    folder.mkdir()
+    out.parent.mkdir()
+    points = ("--calibration", camera.calibration)
+    tracks = ("--tracks", edited(camera.tracks, folder, change))
+    check_refusal(
+        run("lanes", *tracks, *points, "--out", out, "--strict"), out, (words, "--strict")
+    )
+    page = tmp_path / "report.html"
+    code, shown, err = run("lanes", *tracks, *points, "--out", out, "--report", page)
+    assert (code, err) == (0, "")
+    assert words in " ".join(shown.split())
+    assert words in page.read_text(encoding="utf-8")
+    assert run("score", out, found, "--require")[0] == 0
+
+
+def test_tracks_left_out_for_their_class_are_counted_and_named(
+    camera: CameraFiles, tmp_path: Path, run: Run
+) -> None:
+    tracks = edited(
+        camera.tracks,
+        tmp_path,
+        lambda x: [x[0], *(re.sub(r"^(1|2),(.*?),2,", r"\1,\2,0,", r) for r in x[1:])],
+    )
+    command = ("lanes", "--tracks", tracks, "--calibration", camera.calibration)
+    code, shown, _ = run(*command, "--out", tmp_path / "some.geojson")
+    assert code == 0
+    assert "tracks make no lane, as they are no motor vehicles: 2 of class 0 (person)" in shown
+    code, shown, _ = run(*command, "--out", tmp_path / "all.geojson", "--classes", "0=car,2=truck")
+    assert code == 0
+    assert "make no lane" not in shown
 
 
 @pytest.mark.parametrize(("change", "words"), [t[1:] for t in POINTS], ids=[t[0] for t in POINTS])

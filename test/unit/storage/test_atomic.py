@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -86,3 +87,24 @@ def test_a_file_where_a_folder_must_be_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(InputFileError, match="file"), atomic_output(tmp_path / "file" / "out"):
         pytest.fail("the block must not run")
+
+
+def test_a_pipe_gets_the_result_and_stays_a_pipe(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    with atomic_output(pipe) as path:
+        path.write_text("whole")
+        assert path.parent != tmp_path
+    assert os.read(reader, 100) == b"whole"
+    assert pipe.is_fifo()
+    os.close(reader)
+
+
+def test_a_device_takes_no_folder() -> None:
+    with (
+        pytest.raises(InputFileError, match="a device or a pipe"),
+        atomic_output(Path(os.devnull)) as path,
+    ):
+        path.mkdir()
+    assert Path(os.devnull).is_char_device()
