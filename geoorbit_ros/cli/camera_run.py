@@ -17,13 +17,14 @@ from geoorbit_ros.calibration.homography import Homography
 from geoorbit_ros.cli.inputs import DEFAULT_ESTIMATOR, CameraInput
 from geoorbit_ros.cli.report import describe_method, save_report
 from geoorbit_ros.core.errors import NoTrafficError, ParameterError
+from geoorbit_ros.core.input_report import InputReport
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.core.tables import FLAG_PREDICTED, PIXEL_TRACK_DTYPE, Frames
 from geoorbit_ros.detection.detector import Detector
 from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.lanes.geojson import write_lanes
 from geoorbit_ros.lanes.mapping.mapper import DEFAULT_UPDATE_PERIOD_S, LaneMapper
-from geoorbit_ros.lanes.pipeline import StampedRows, map_lanes
+from geoorbit_ros.lanes.pipeline import StampedRows, map_lanes, note_other_classes
 from geoorbit_ros.report.image_overlay import ImageOverlay
 from geoorbit_ros.report.recording import Recording
 from geoorbit_ros.storage.frames.source import FrameSource, StampedImage
@@ -289,6 +290,8 @@ class CameraJob:
             camera_id=self.camera_id,
             estimator=self.estimator,
         )
+        remarks = InputReport(str(tracks), "boxes", len(frames.rows))
+        note_other_classes(remarks, frames)
         camera = CameraInput(
             self.camera_id,
             tracks,
@@ -297,6 +300,7 @@ class CameraJob:
             self.homography,
             self.datum,
             self.run.image_size,
+            remarks,
         )
         method = describe_method(self.estimator, self.update_period_s)
         method = f"{self.detector.name}; {method}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bz2
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -47,7 +47,7 @@ def changed(at: int, **cells: object) -> str:
     return csv([tuple(row) for row in rows])  # type: ignore[misc]
 
 
-def each(make: Callable[[dict[str, float]], list[object]], header: str = HEADER) -> str:
+def each(make: Callable[[dict[str, float]], Sequence[object]], header: str = HEADER) -> str:
     """The CSV file with every row made anew from its cells."""
     names = HEADER.split(",")
     lines = [",".join(map(str, make(dict(zip(names, row, strict=True))))) for row in made_rows()]
