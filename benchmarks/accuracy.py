@@ -213,7 +213,7 @@ def options() -> argparse.Namespace:
     parser.add_argument("--random", type=int, metavar="N", help="N random scenes instead")
     parser.add_argument("--seed", type=int, default=0, help="first of the random scenes")
     parser.add_argument(
-        "--markdown", type=Path, metavar="FILE", help="write the table for a README"
+        "--markdown", type=Path, metavar="FILE", help="write the table of docs/results.md"
     )
     parser.add_argument("--workers", type=int, default=2)
     return parser.parse_args()

@@ -1,7 +1,7 @@
 """A fleet for minutes on end: nothing piles up, memory stays flat, how late tracks and lanes are.
 
 `rendered`: four cameras along one road, with detector, tracker, homography, lane map, recorder and
-meta_client each, a federated server and the SUMO twin of the road. Their pictures are drawn
+meta_client each, a federated server and the SUMO twin of the road. Their images are drawn
 beforehand and played as videos: drawing takes more than looking, and no real camera does it.
 `tracks`: eight cameras from recorded boxes, with homography, lane map and recorder each.
 
@@ -31,7 +31,7 @@ import yaml
 
 from geoorbit_ros.nodes.support.composition import Composition
 from soak.findings import draw, figures, print_tables, write_memory
-from soak.fleets import Pictures, rendered_fleet, tracks_fleet
+from soak.fleets import ImageFormat, rendered_fleet, tracks_fleet
 from soak.long_running import fill_memories
 from soak.watch import Samples, Watch
 
@@ -92,26 +92,26 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=10.0, help="that count")
     parser.add_argument("--warm-up", type=float, default=10.0, help="minutes before them")
     parser.add_argument("--young", action="store_true", help="cameras that know no traffic yet")
-    parser.add_argument("--size", default="640x360", help="of the rendered pictures")
-    parser.add_argument("--fps", type=float, default=10.0, help="of the rendered pictures")
+    parser.add_argument("--size", default="640x360", help="of the rendered images")
+    parser.add_argument("--fps", type=float, default=10.0, help="of the rendered images")
     parser.add_argument(
-        "--out", type=Path, default=Path("out/soak"), help="films, figures, pictures"
+        "--out", type=Path, default=Path("out/soak"), help="films, figures, drawings"
     )
     options = parser.parse_args()
     width, height = map(int, options.size.split("x"))
-    pictures = Pictures(width, height, options.fps)
+    images = ImageFormat(width, height, options.fps)
     folder = options.out.absolute()
     folder.mkdir(parents=True, exist_ok=True)
     warm_min = options.warm_up
     for kind in options.kind or NAMES:
-        content = rendered_fleet(folder, pictures) if kind == "rendered" else tracks_fleet(folder)
+        content = rendered_fleet(folder, images) if kind == "rendered" else tracks_fleet(folder)
         samples = run(content, kind, warm_min + options.minutes, folder, young=options.young)
         found = figures(samples, options.minutes, warm_min)
         print_tables(kind, found)
         (folder / f"{kind}.json").write_text(json.dumps(found, indent=1) + "\n")
         write_memory(samples, folder / f"{kind}-memory.csv")
         draw(samples, warm_min, NAMES[kind], folder / f"{kind}.png")
-        print(f"figures: {folder / kind}.json, picture: {folder / kind}.png", file=sys.stderr)
+        print(f"figures: {folder / kind}.json, drawing: {folder / kind}.png", file=sys.stderr)
         report(kind, found)
     return 0
 

@@ -1,8 +1,8 @@
 """One network camera, 720p at 25 frames a second, through all its nodes: latency and losses.
 
-A rendered minute of traffic is served as MJPEG over HTTP on this machine, each picture at its time.
+A rendered minute of traffic is served as MJPEG over HTTP on this machine, each image at its time.
 The nodes camera, detector, tracker, homography and lane_geometry run in one process, as `geoorbit
-up` starts them (or in one each). This process times every picture from the moment it is sent until
+up` starts them (or in one each). This process times every image from the moment it is sent until
 its `tracks` arrive.
 
     python benchmarks/live_camera.py [--seconds 60] [--separate] [--video FOLDER]
@@ -48,8 +48,8 @@ START_LIMIT_S = 120.0
 CAMERA = "live"
 
 
-def pictures(folder: Path) -> list[bytes]:
-    """The scene as JPEG pictures; filmed into the folder unless it is there already."""
+def jpeg_images(folder: Path) -> list[bytes]:
+    """The scene as JPEG images; filmed into the folder unless it is there already."""
     if not folder.exists():
         rendered = render_scene(load_scene(SCENE), RENDERED_S, 1, fps=FPS, image_size=SIZE)
         print(f"filming {RENDERED_S:g} s of {SCENE}", file=sys.stderr)
@@ -60,11 +60,11 @@ def pictures(folder: Path) -> list[bytes]:
 
 
 class NetworkCamera:
-    """Serves pictures over HTTP, each at its time, over and over.
+    """Serves images over HTTP, each at its time, over and over.
 
     Attributes:
-        sent_ns: Time at which each picture began to be sent.
-        late_s: Longest delay of a picture, because the reader did not take the ones before.
+        sent_ns: Time at which each image began to be sent.
+        late_s: Longest delay of a image, because the reader did not take the ones before.
     """
 
     def __init__(self, images: list[bytes]) -> None:
@@ -89,7 +89,7 @@ class NetworkCamera:
         threading.Thread(target=self._server.serve_forever, daemon=True).start()
 
     def send(self, client: BaseHTTPRequestHandler) -> None:
-        """Send pictures to one client until it or the server goes."""
+        """Send images to one client until it or the server goes."""
         start_s = time.monotonic()
         for k in range(10**9):
             wait_s = start_s + k / FPS - time.monotonic()
@@ -119,11 +119,11 @@ class NetworkCamera:
 
 
 class Watch:
-    """Times the tracks of every picture."""
+    """Times the tracks of every image."""
 
     def __init__(self, nodes: Composition, camera: NetworkCamera) -> None:
         self._camera = camera
-        self.arrived: list[tuple[int, float]] = []  # index of the picture, latency in ms
+        self.arrived: list[tuple[int, float]] = []  # index of the image, latency in ms
         self.vehicles = 0
         self.status = nodes.add(StatusListener(nodes.context))
         self.node = nodes.add(Node("watch", context=nodes.context))
@@ -192,7 +192,7 @@ def cpu_s(pid: int) -> float:
 
 def measure(seconds: float, folder: Path, *, separate: bool) -> None:
     """Run the graph and print the ratios as JSON, the rest on standard error."""
-    images = pictures(folder)
+    images = jpeg_images(folder)
     with (
         tempfile.TemporaryDirectory() as scratch,
         NetworkCamera(images) as camera,
@@ -226,7 +226,7 @@ def measure(seconds: float, folder: Path, *, separate: bool) -> None:
         f"{said['camera'].get('dropped')}, reconnects {said['camera'].get('reconnects')}; detector "
         f"{said['detector'].get('latency_ms_median')} ms median; lanes confirmed "
         f"{said['lane_geometry'].get('lanes_confirmed')}; {watch.vehicles / max(len(kept), 1):.1f} "
-        f"vehicles a picture; the network camera was late by {1e3 * camera.late_s:.0f} ms at most",
+        f"vehicles a image; the network camera was late by {1e3 * camera.late_s:.0f} ms at most",
         file=sys.stderr,
     )
 
@@ -251,14 +251,14 @@ def report(
     layout = "one process per node" if separate else "one process"
     what = f"720p at {FPS:g} fps, {layout}"
     print(
-        f"{what}: {sent} pictures in {wall_s:.1f} s, {lost} without tracks; picture to tracks "
+        f"{what}: {sent} images in {wall_s:.1f} s, {lost} without tracks; image to tracks "
         f"{median:.1f} ms median, {p99:.1f} ms p99, {latency_ms.max():.0f} ms at most; median of "
         f"the first third {early:.1f} ms, of the last {late:.1f} ms; processor "
         f"{sum(used) / wall_s:.2f} cores",
         file=sys.stderr,
     )
     for name, ratio, limit in (
-        (f"{what}: pictures without tracks / sent", lost / sent, 0.0),
+        (f"{what}: images without tracks / sent", lost / sent, 0.0),
         (f"{what}: latency p99 / {LATENCY_P99_MS:g} ms", p99 / LATENCY_P99_MS, 1.0),
         (f"{what}: latency of the last third / of the first", late / early, 1.5),
         (f"{what}: processor time / {CORES} cores", sum(used) / wall_s / CORES, 1.0),

@@ -88,11 +88,11 @@ def report(name: str, ratio: float, limit: float | None, note: str) -> None:
 
 
 def images() -> list[NDArray[np.uint8]]:
-    """Pictures of 1920 x 1080 as JPEG."""
+    """Images of 1920 x 1080 as JPEG."""
     random = np.random.default_rng(2)
     noise = [random.integers(0, 256, (1080, 1920, 3), dtype=np.uint8) for _ in range(IMAGES)]
-    pictures = [cv2.GaussianBlur(each, (9, 9), 0) for each in noise]
-    return [np.asarray(cv2.imencode(".jpg", each)[1]) for each in pictures]
+    images = [cv2.GaussianBlur(each, (9, 9), 0) for each in noise]
+    return [np.asarray(cv2.imencode(".jpg", each)[1]) for each in images]
 
 
 def spent_ms(work: Callable[[NDArray[np.uint8]], None], jpeg: NDArray[np.uint8]) -> float:

@@ -1,4 +1,4 @@
-"""Cost of a rendered picture beside the time between two frames of a camera.
+"""Cost of a rendered image beside the time between two frames of a camera.
 
 1280x720 at 25 frames per second, twenty to thirty vehicles in view; true boxes included. Time is
 that of the processor, summed over all threads: on an idle machine the clock shows no more. The

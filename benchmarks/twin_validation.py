@@ -1,4 +1,4 @@
-"""Errors planted into every shipped scene's map, found and mended by what its camera sees.
+"""Errors planted into every shipped scene's map, found and corrected by what its camera sees.
 
 A minute of traffic goes through camera model, detector model and lane estimator. The scene's own
 network is right; it is given one error at a time: a lane missing, a lane too many, an edge 1 m
@@ -7,9 +7,9 @@ lane that the camera checks over `MIN_LENGTH_M` takes its turn. An error counts 
 finding has its kind and place and, within the stated tolerance, its size, and no finding is of
 anything else (an extra lane with too little traffic beside it is counted apart: the report says how
 many vehicles it takes; a displaced edge may be reported as a displaced map where that explains all
-that is seen); as mended when the patched network has no finding and every lane the camera judges
-lies, is as wide and runs as in the right one, as well as the camera's own lanes do (`MENDED_M`,
-`MENDED_WIDTH_M`).
+that is seen); as corrected when the patched network has no finding and every lane the camera checks
+lies, is as wide and runs as in the right one, as well as the camera's own lanes do (`CORRECTED_M`,
+`CORRECTED_WIDTH_M`).
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from scores.map_errors import SHIFT_M, WIDTH_M, Error, plant
 DURATION_S = 60.0
 MIN_LENGTH_M = 30.0
 """An error can move an edge's end by some metres; of less than 20 m in view nothing is checked."""
-MENDED_M, MENDED_WIDTH_M = 0.4, 0.3
+CORRECTED_M, CORRECTED_WIDTH_M = 0.4, 0.3
 """What the lane estimator promises of a lane at 95 %, and the least width difference reported."""
 
 
@@ -80,7 +80,7 @@ def is_found(error: Error, lane: str, found: Validation) -> bool:
     return all(o <= f.tolerance for o, f in zip(off, matching, strict=True))
 
 
-def is_mended(lanes: Sequence[str], right: RoadNetwork, patched: RoadNetwork) -> bool:
+def is_corrected(lanes: Sequence[str], right: RoadNetwork, patched: RoadNetwork) -> bool:
     """Whether the lanes of a right network are in a patched one, and no other beside them."""
     checked = {name.rpartition("_")[0] for name in lanes}
     for edge in checked:
@@ -98,8 +98,8 @@ def _has(right: RoadNetwork, k: int, patched: RoadNetwork) -> bool:
         if not foot.inside.any():
             continue
         same = np.median(np.sum(points.tangent * foot.tangent, axis=1)) > 0.9
-        near = np.median(np.abs(foot.offset_m[foot.inside])) <= MENDED_M
-        wide = abs(patched.width_m[m] - right.width_m[k]) <= MENDED_WIDTH_M
+        near = np.median(np.abs(foot.offset_m[foot.inside])) <= CORRECTED_M
+        wide = abs(patched.width_m[m] - right.width_m[k]) <= CORRECTED_WIDTH_M
         if same and near and wide:
             return True
     return False
@@ -155,21 +155,23 @@ def try_scene(name: str, seed: int, counts: Counter[str]) -> None:
                 (work / "out").mkdir()
                 result = patch_network(lanes, bad, work / "out")
                 found = is_found(error, named, result.before)
-                mended = not result.after.findings and is_mended(checked, network, result.network)
+                corrected = not result.after.findings and is_corrected(
+                    checked, network, result.network
+                )
                 unseen = {u.lane_id for u in result.before.discrepancies.unseen}
                 if error == "extra" and named in unseen and not result.before.findings:
                     counts["undecided"] += 1  # said so, with the number of vehicles it takes
                     continue
                 counts[f"{error} planted"] += 1
                 counts[f"{error} found"] += found
-                counts[f"{error} mended"] += mended
-                if not (found and mended):
+                counts[f"{error} corrected"] += corrected
+                if not (found and corrected):
                     said = [f.sentence for f in result.before.findings]
                     said += [u.sentence for u in result.before.discrepancies.unseen]
                     after = [f.sentence for f in result.after.findings]
                     print(
-                        f"{name}, seed {seed}, {error} {lane}: found {found}, mended {mended}; "
-                        f"said {said}; after {after}",
+                        f"{name}, seed {seed}, {error} {lane}: found {found}, "
+                        f"corrected {corrected}; said {said}; after {after}",
                         file=sys.stderr,
                     )
 
@@ -197,9 +199,9 @@ def main() -> None:
         planted, found = counts[f"{error} planted"], counts[f"{error} found"]
         if not planted:
             continue
-        mended = counts[f"{error} mended"]
-        print(f"{error}: {planted} planted, {found} found, {mended} mended", file=sys.stderr)
-        for what, number in (("missed", planted - found), ("not mended", planted - mended)):
+        corrected = counts[f"{error} corrected"]
+        print(f"{error}: {planted} planted, {found} found, {corrected} corrected", file=sys.stderr)
+        for what, number in (("missed", planted - found), ("not corrected", planted - corrected)):
             title = f"map errors, {error}: {what} of {planted}"
             print(json.dumps({"name": title, "ratio": round(number / planted, 4), "limit": 0.0}))
     print(f"{counts['undecided']} extra lanes with too little traffic beside them", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""Samples as figures, table and picture."""
+"""Samples as figures, table and drawing."""
 
 from __future__ import annotations
 

@@ -23,8 +23,8 @@ TRACK_CAMERAS = 8
 
 
 @dataclass(frozen=True)
-class Pictures:
-    """Size and rate of the rendered cameras' pictures."""
+class ImageFormat:
+    """Size and rate of the rendered cameras' images."""
 
     width: int
     height: int
@@ -48,7 +48,7 @@ def beside(scene: Scene, along_m: float) -> Scene:
     return scene.model_copy(update={"camera": camera})
 
 
-def rendered_fleet(folder: Path, pictures: Pictures) -> dict[str, Any]:
+def rendered_fleet(folder: Path, images: ImageFormat) -> dict[str, Any]:
     """Four cameras on one road with films drawn beforehand, a federated server, the road's twin.
 
     Films that are in the folder already are used again.
@@ -56,17 +56,15 @@ def rendered_fleet(folder: Path, pictures: Pictures) -> dict[str, Any]:
     scene, cameras = long_road(), []
     for k in range(CAMERAS):
         name = f"camera_{k}"
-        there = folder / f"{name}_{pictures.width}x{pictures.height}_{pictures.fps:g}fps"
+        there = folder / f"{name}_{images.width}x{images.height}_{images.fps:g}fps"
         if not there.exists():
             print(f"drawing camera {k + 1} of {CAMERAS}", file=sys.stderr)
-            size = (pictures.width, pictures.height)
+            size = (images.width, images.height)
             view = beside(scene, 150.0 + SPACING_M * k)
-            shown = render_scene(
-                view, RECORDED_S, 1, Conditions(), fps=pictures.fps, image_size=size
-            )
+            shown = render_scene(view, RECORDED_S, 1, Conditions(), fps=images.fps, image_size=size)
             write_rendered_scene(shown, there)
         files = {"source": str(there / VIDEO), "calibration": str(there / CALIBRATION)}
-        image_size = [pictures.width, pictures.height]
+        image_size = [images.width, images.height]
         cameras.append({"id": name, "image_size": image_size, **files})
     net = folder / "net"
     net.mkdir(exist_ok=True)

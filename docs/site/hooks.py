@@ -121,8 +121,8 @@ def reduced(diagram: str) -> str:
     if not any(len(targets) > 2 for targets in edges.values()):
         return diagram
 
-    def below(room: str) -> set[str]:
-        direct = edges.get(room, set())
+    def below(name: str) -> set[str]:
+        direct = edges.get(name, set())
         return direct.union(*(below(target) for target in direct))
 
     kept = {a: targets - set().union(*map(below, targets)) for a, targets in edges.items()}

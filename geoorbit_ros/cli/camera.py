@@ -77,7 +77,11 @@ def add(
     print_lanes(job.lane_map, f"Lanes of {camera_id} after {duration:g} s")
     add_camera(fleet, _entry(job, source, model, fleet), fleet.stem)
     say(f"Look at {out / CALIBRATION_IMAGE} and {out / REPORT}.")
-    console.print(f" Camera {camera_id} is in {fleet}: geoorbit up {fleet}", soft_wrap=True)
+    console.print(
+        f" Camera {camera_id} is in {fleet}. To run it: geoorbit up {fleet} "
+        f"(in a clone: ./dev run up {fleet})",
+        soft_wrap=True,
+    )
 
 
 def _entry(job: CameraJob, source: str, model: Path | None, fleet: Path) -> dict[str, object]:

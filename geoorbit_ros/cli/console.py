@@ -203,9 +203,9 @@ def format_size(size_bytes: int) -> str:
     return f"{size_bytes} bytes"
 
 
-def count_of(number: int, noun: str) -> str:
+def count_of(number: int, noun: str, plural: str | None = None) -> str:
     """`1 camera`, `2 cameras`."""
-    return f"{number:,} {noun}{'' if number == 1 else 's'}"
+    return f"{number:,} {noun if number == 1 else plural or noun + 's'}"
 
 
 def format_time(stamp_ns: int) -> str:

@@ -28,7 +28,7 @@ SUFFIXES = {
 
 def export(
     lanes: Annotated[Path, typer.Argument(help="A lane map: lanes.geojson.")],
-    target: Annotated[ExportFormat, typer.Option("--format", help="Who shall read it.")],
+    target: Annotated[ExportFormat, typer.Option("--format", help="Format of the file.")],
     out: Annotated[
         Path | None, typer.Option("--out", help="The file; default: beside the lane map.")
     ] = None,

@@ -88,7 +88,7 @@ EstimatorOption = Annotated[
     typer.Option(
         "--estimator",
         metavar="NAME",
-        help=f"How lanes are found: {expected('estimator')} (your own class).",
+        help=f"How lanes are found: {expected('estimator')}.",
     ),
 ]
 ImageSizeOption = Annotated[
@@ -261,7 +261,7 @@ def load_calibration(calibration: Path, datum: str | None) -> tuple[Homography, 
 
 
 def make_mapper(estimator: str, update_period_s: float) -> LaneMapper:
-    """A fresh mapper with the default detection parameters."""
+    """A fresh mapper with the default lane-estimator parameters."""
     from geoorbit_ros.lanes.estimators.estimator import make_estimator
     from geoorbit_ros.lanes.mapping.mapper import LaneMapper
     from geoorbit_ros.lanes.parameters import LaneParameters

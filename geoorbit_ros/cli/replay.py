@@ -45,7 +45,7 @@ def replay(
         typer.Option(
             min=0,
             max=232,
-            help="ROS domain to be seen on, for RViz say; default: a free one, this machine only.",
+            help="ROS domain, for example of RViz; default: a free one, this machine only.",
         ),
     ] = None,
     verbose: Annotated[bool, typer.Option("--verbose", help="Show what the nodes log.")] = False,

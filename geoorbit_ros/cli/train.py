@@ -24,7 +24,7 @@ class ModeName(StrEnum):
 
 def train(
     population: Annotated[
-        Path, typer.Argument(help="Which cameras: a population file.", metavar="FLEET.yaml")
+        Path, typer.Argument(help="The study file: which cameras.", metavar="STUDY.yaml")
     ],
     out: Annotated[Path, typer.Option(help="Folder for cameras, models and their history.")],
     rounds: Annotated[int, typer.Option(min=1, max=10000, help="Most rounds.")] = 20,
@@ -51,13 +51,13 @@ def train(
         typer.Option(metavar="NAME", help=f"How the server aggregates: {expected('strategy')}."),
     ] = "fedavg",
     encoding: Annotated[
-        str, typer.Option(metavar="NAME", help=f"How weights travel: {expected('encoding')}.")
+        str, typer.Option(metavar="NAME", help=f"How weights are packed: {expected('encoding')}.")
     ] = "float32",
     workers: Annotated[int, typer.Option(min=1, max=1024, help="Processes.")] = 2,
 ) -> None:
-    """Train the meta-learner that predicts each camera's detection parameters.
+    """Train the meta-learner that predicts each camera's lane-estimator parameters θ.
 
-    The population's cameras are simulated once and kept in OUT/cameras, their best parameters are
+    The study's cameras are simulated once and kept in OUT/cameras, their best parameters are
     searched once, then the model learns to predict these from the scene: with all data in one place
     (central) and through the federated server and its wire format (federated).
 
@@ -79,7 +79,11 @@ def train(
     )
     modes: list[Mode] = [m.value for m in mode or list(ModeName)]
     _train(study, names, modes, range(seeds), settings)
-    console.print(f" Wrote {out}; next: geoorbit evaluate --out {out}", soft_wrap=True)
+    console.print(
+        f" Wrote {out}; next: geoorbit evaluate --out {out} "
+        f"(in a clone: ./dev run evaluate --out {out})",
+        soft_wrap=True,
+    )
 
 
 def _train(

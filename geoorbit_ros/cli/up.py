@@ -65,7 +65,7 @@ def _watch(
     name: str, fleet: Fleet, plans: Sequence[ProcessPlan], folder: Path, duration_s: float | None
 ) -> None:
     """Keep the processes running until Ctrl-C, or for `duration_s`."""
-    from geoorbit_ros.cli.console import console
+    from geoorbit_ros.cli.console import console, count_of
     from geoorbit_ros.cli.signals import told_to_end
     from geoorbit_ros.fleet.supervisor import Supervisor
 
@@ -81,8 +81,10 @@ def _watch(
         environment["ROS_DOMAIN_ID"] = str(fleet.domain_id)
     supervisor = Supervisor(plans, folder, environment, say)
     domain = environment.get("ROS_DOMAIN_ID") or os.environ.get("ROS_DOMAIN_ID", "0")
-    console.print(f"Fleet {fleet.name}: {len(plans)} processes, ROS domain {domain}, logs in")
-    console.print(f"{folder / 'logs'}. Ctrl-C ends it; `geoorbit status {name}` shows it.")
+    number = count_of(len(plans), "process", "processes")
+    console.print(f"Fleet {fleet.name}: {number}, ROS domain {domain}, logs in")
+    console.print(f"{folder / 'logs'}. Ctrl-C ends it; `geoorbit status {name}` shows its state")
+    console.print(f"(in a clone: `./dev run status {name}`).")
     announced = False
     with told_to_end() as end:
         try:
@@ -92,7 +94,7 @@ def _watch(
                 supervisor.step(STEP_S)
                 if supervisor.all_running and not announced:
                     announced = True
-                    say("fleet", f"all {len(plans)} processes run")
+                    say("fleet", f"{number} started")
         finally:
             ending = time.monotonic()
             supervisor.stop()

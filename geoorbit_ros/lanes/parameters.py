@@ -1,4 +1,4 @@
-"""Theta: the detection parameters that the meta-learner predicts for each camera."""
+"""Theta: the lane estimator's parameters that the meta-learner predicts for each camera."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Meta-GeoLane: detection parameters predicted from the scene, and how that is learned."""
+"""Meta-GeoLane: lane-estimator parameters predicted from the scene, and how that is learned."""

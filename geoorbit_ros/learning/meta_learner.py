@@ -1,4 +1,4 @@
-"""The meta-learner f_phi: scene features in, detection parameters out. Inference, numpy only.
+"""The meta-learner f_phi: scene features in, lane-estimator parameters out. Inference, numpy only.
 
 A two-layer perceptron with one shared hidden layer and one bounded head per parameter (the paper,
 section III-A): h = tanh(W x + b), u_p = sigmoid(w_p . h + b_p + c_p), theta_p = u_p scaled to p's

@@ -1,4 +1,4 @@
-"""The bounded space of theta: between detection parameters and the unit cube."""
+"""The bounded space of theta: between lane-estimator parameters and the unit cube."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def to_unit(parameters: LaneParameters | Mapping[str, float]) -> Array:
 
 
 def from_unit(unit: Sequence[float] | Array) -> LaneParameters:
-    """The detection parameters at a point of the unit cube; `to_unit`'s inverse.
+    """The lane-estimator parameters at a point of the unit cube; `to_unit`'s inverse.
 
     Raises:
         ParameterError: Not one finite number per parameter.

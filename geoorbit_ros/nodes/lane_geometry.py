@@ -102,7 +102,7 @@ class LaneGeometryNode(GeoOrbitNode[LaneGeometryParameters]):
         self.create_service(Trigger, "~/update", self._on_update)
 
     def on_parameters(self, changed: LaneGeometryParameters) -> None:
-        """New detection parameters hold from the next update on, until others come."""
+        """New parameters θ hold from the next update on, until others come."""
         self.theta = self._mapper.parameters = changed.theta
         self._inbox.version = "by hand"
 

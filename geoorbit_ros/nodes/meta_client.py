@@ -1,4 +1,4 @@
-"""Node `meta_client`: predicts the camera's detection parameters, and learns them with others."""
+"""Node `meta_client`: predicts the camera's parameters θ, and trains with other cameras."""
 
 from __future__ import annotations
 

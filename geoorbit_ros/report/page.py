@@ -112,7 +112,10 @@ def _drawings(content: ReportInput) -> str:
         "Filled lanes are confirmed, dashed ones tentative; arrows show the direction of travel.",
     ]
     if frame.stretch > 1:
-        caption.append(f"Drawn {frame.stretch:.0f} times wider across the page than along it.")
+        caption.append(
+            f"Up and down the page, lengths are drawn {frame.stretch:.0f} times as large as from "
+            "left to right."
+        )
     if len(lane_map.visible_m):
         caption.append("On the shaded ground, neighbouring lanes can be told apart.")
     if content.truth:

@@ -32,7 +32,7 @@ StampedPicture = tuple[int, str, NDArray[np.uint8]]
 
 
 def decode_compressed_image(cdr: bytes, place: str) -> StampedPicture:
-    """The picture of a serialised `sensor_msgs/CompressedImage`: JPEG, PNG, WebP, ….
+    """The image of a serialised `sensor_msgs/CompressedImage`: JPEG, PNG, WebP, ….
 
     Grey becomes three equal channels; of 16 bits a channel the upper eight are kept.
 
@@ -41,27 +41,27 @@ def decode_compressed_image(cdr: bytes, place: str) -> StampedPicture:
         place: Topic, for the error.
 
     Raises:
-        MessageError: A message cut short, or bytes that are no whole picture.
+        MessageError: A message cut short, or bytes that are no whole image.
     """
     reader = CdrReader(cdr, place, f"a {COMPRESSED}")
     stamp_ns, frame_id = reader.header()
     kind, data = reader.text(), reader.data()
-    picture = None
+    decoded = None
     if len(data):
         # A rotated camera would say so in the file: pixels stay where control points expect them.
         flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
         try:
-            picture = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+            decoded = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
         except cv2.error:  # a header that claims an absurd size
-            picture = None
-    if picture is None:
-        found = f"{len(data)} bytes of '{kind}' that are no whole picture"
-        raise MessageError(place, found, "a JPEG, PNG or other picture")
-    return stamp_ns, frame_id, np.asarray(picture, dtype=np.uint8)
+            decoded = None
+    if decoded is None:
+        found = f"{len(data)} bytes of '{kind}' that are no whole image"
+        raise MessageError(place, found, "a JPEG, PNG or other image")
+    return stamp_ns, frame_id, np.asarray(decoded, dtype=np.uint8)
 
 
 def decode_image(cdr: bytes, place: str) -> StampedPicture:
-    """The picture of a serialised `sensor_msgs/Image` of 8 bits a channel.
+    """The image of a serialised `sensor_msgs/Image` of 8 bits a channel.
 
     Raises:
         MessageError: A message cut short, another encoding, or sizes that contradict each other.

@@ -98,7 +98,7 @@ def test_images_that_cannot_be_used_are_refused_and_the_next_one_is_taken(
     images.publish(message(0, made_image(0)))
     heard = probe.heard["detections"]
     probe.until(lambda: len(heard) == 1, "the first")
-    images.publish(encode_compressed_image(2 * 10**8, "f", "jpeg", b"no picture"))
+    images.publish(encode_compressed_image(2 * 10**8, "f", "jpeg", b"no image"))
     images.publish(message(3, made_image(0, (80, 64))))
     images.publish(message(0, made_image(0)))
     probe.until(lambda: node.diagnostics.refused == 3, "three refusals")

@@ -21,7 +21,7 @@ def header(frame_id: str = "pole_7_optical_frame") -> Header:
     return Header(stamp=Time(sec=12, nanosec=345), frame_id=frame_id)
 
 
-def picture(height: int = 31, width: int = 47) -> NDArray[np.uint8]:
+def image_of(height: int = 31, width: int = 47) -> NDArray[np.uint8]:
     return np.random.default_rng(1).integers(0, 256, (height, width, 3), dtype=np.uint8)
 
 
@@ -32,19 +32,19 @@ def compressed(kind: str, array: NDArray[np.integer[Any]], frame_id: str = "a") 
 
 
 @pytest.mark.parametrize("frame_id", ["", "a", "ab", "abc", "abcd", "pole_7"])
-def test_a_compressed_picture_comes_back(frame_id: str) -> None:
+def test_a_compressed_image_comes_back(frame_id: str) -> None:
     stamp_ns, found_id, pixels = decode_compressed_image(
-        compressed("png", picture(), frame_id), "image/compressed"
+        compressed("png", image_of(), frame_id), "image/compressed"
     )
     assert (stamp_ns, found_id) == (STAMP_NS, frame_id)
-    assert (pixels == picture()).all()
+    assert (pixels == image_of()).all()
 
 
-def test_grey_and_deep_pictures_become_three_channels_of_eight_bits() -> None:
-    grey = picture()[:, :, 0]
+def test_grey_and_deep_images_become_three_channels_of_eight_bits() -> None:
+    grey = image_of()[:, :, 0]
     assert (decode_compressed_image(compressed("png", grey), "t")[2] == grey[..., None]).all()
-    deep = picture().astype(np.uint16) * 257
-    assert (decode_compressed_image(compressed("png", deep), "t")[2] == picture()).all()
+    deep = image_of().astype(np.uint16) * 257
+    assert (decode_compressed_image(compressed("png", deep), "t")[2] == image_of()).all()
 
 
 @pytest.mark.parametrize(
@@ -52,8 +52,8 @@ def test_grey_and_deep_pictures_become_three_channels_of_eight_bits() -> None:
     [("bgr8", [0, 1, 2]), ("rgb8", [2, 1, 0]), ("8UC3", [0, 1, 2])],
 )
 @pytest.mark.parametrize("padding", [0, 5])
-def test_a_raw_picture_comes_back(encoding: str, order: list[int], padding: int) -> None:
-    pixels = picture()
+def test_a_raw_image_comes_back(encoding: str, order: list[int], padding: int) -> None:
+    pixels = image_of()
     height, width, _ = pixels.shape
     rows = np.zeros((height, 3 * width + padding), np.uint8)
     rows[:, : 3 * width] = pixels[:, :, order].reshape(height, -1)
@@ -65,7 +65,7 @@ def test_a_raw_picture_comes_back(encoding: str, order: list[int], padding: int)
 
 
 @pytest.mark.parametrize(("encoding", "channels"), [("mono8", 1), ("bgra8", 4), ("rgba8", 4)])
-def test_grey_and_alpha_raw_pictures(encoding: str, channels: int) -> None:
+def test_grey_and_alpha_raw_images(encoding: str, channels: int) -> None:
     pixels = np.full((4, 6, channels), 7, np.uint8)
     message = Image(header=header(), height=4, width=6, encoding=encoding, step=6 * channels)
     message.data = pixels.tobytes()
@@ -91,21 +91,21 @@ def raw(encoding: str = "bgr8", width: int = 6, step: int = 18, size: int = 72) 
         (b"\x00\x00" + raw()[2:], "encapsulation 0x0000"),
     ],
 )
-def test_a_raw_picture_that_contradicts_itself_is_refused(cdr: bytes, words: str) -> None:
+def test_a_raw_image_that_contradicts_itself_is_refused(cdr: bytes, words: str) -> None:
     with pytest.raises(MessageError, match=words) as caught:
         decode_image(cdr, "north/image")
     assert str(caught.value).startswith("north/image: found ")
 
 
 @pytest.mark.parametrize("kept", [3, 20, 60, 500])
-def test_a_compressed_picture_cut_short_is_refused(kept: int) -> None:
-    whole = compressed("jpg", picture(200, 300))
+def test_a_compressed_image_cut_short_is_refused(kept: int) -> None:
+    whole = compressed("jpg", image_of(200, 300))
     with pytest.raises(MessageError, match="break off"):
         decode_compressed_image(whole[:kept], "t")
 
 
-def test_bytes_that_are_no_picture_are_refused() -> None:
-    for data in (b"", b"hello", cv2.imencode(".png", picture())[1].tobytes()[:40]):
+def test_bytes_that_are_no_image_are_refused() -> None:
+    for data in (b"", b"hello", cv2.imencode(".png", image_of())[1].tobytes()[:40]):
         message = CompressedImage(header=header(), format="jpeg", data=data)
-        with pytest.raises(MessageError, match=r"'jpeg' that are no whole picture"):
+        with pytest.raises(MessageError, match=r"'jpeg' that are no whole image"):
             decode_compressed_image(bytes(serialize_message(message)), "t")

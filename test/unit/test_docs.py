@@ -38,11 +38,11 @@ def test_every_link_leads_somewhere(guide: Path) -> None:
             assert anchor in anchors(file.read_text(encoding="utf-8")), f"{guide.name}: {target}"
 
 
-def test_every_picture_is_shown() -> None:
+def test_every_image_is_shown() -> None:
     texts = "".join(path.read_text(encoding="utf-8") for path in GUIDES)
-    pictures = sorted((REPOSITORY / "docs" / "images").iterdir())
-    assert pictures
-    assert [picture.name for picture in pictures if picture.name not in texts] == []
+    images = sorted((REPOSITORY / "docs" / "images").iterdir())
+    assert images
+    assert [image.name for image in images if image.name not in texts] == []
 
 
 def test_decisions_are_numbered_without_holes_and_listed() -> None:

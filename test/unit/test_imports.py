@@ -12,18 +12,18 @@ import pytest
 PACKAGE = "geoorbit_ros"
 ROOT = Path(__file__).parents[2] / PACKAGE
 
-# The picture in the docs is the law: the edges that are drawn there, and no other.
-PICTURE = Path(__file__).parents[2] / "docs" / "architecture.md"
+# The allowed edges are those of the diagram in the docs, and no other.
+DIAGRAM = Path(__file__).parents[2] / "docs" / "architecture.md"
 EDGE = re.compile(r"^  (\w+) --> (.+)$", re.MULTILINE)
 
 
 def drawn_edges(text: str) -> set[tuple[str, str]]:
-    """Edges `room --> room & room` of the picture."""
+    """Edges `name --> name & name` of the diagram."""
     return {(a, b) for a, targets in EDGE.findall(text) for b in targets.split(" & ")}
 
 
-ALLOWED = drawn_edges(PICTURE.read_text(encoding="utf-8"))
-ROOMS = {room for edge in ALLOWED for room in edge}
+ALLOWED = drawn_edges(DIAGRAM.read_text(encoding="utf-8"))
+SUBPACKAGES = {name for edge in ALLOWED for name in edge}
 
 # Who may import what from outside. Names are patterns of the imported top-level module.
 RESERVED = {
@@ -44,11 +44,11 @@ CORE_MAY_IMPORT = {"numpy", "scipy"}
 class Import:
     path: Path
     line: int
-    room: str  # the importing file's place below the package
+    subpackage: str  # the importing file's place below the package
     module: str  # dotted name of what it imports
 
     def breach(self, rule: str) -> str:
-        return f"{self.path}:{self.line}: {self.room} imports {self.module}: {rule}"
+        return f"{self.path}:{self.line}: {self.subpackage} imports {self.module}: {rule}"
 
 
 def imported_modules(node: ast.AST, package: list[str]) -> list[str]:
@@ -58,7 +58,7 @@ def imported_modules(node: ast.AST, package: list[str]) -> list[str]:
     if isinstance(node, ast.ImportFrom):
         base = package[: len(package) - node.level + 1] if node.level else []
         start = ".".join([*base, node.module] if node.module else base)
-        # `from geoorbit_ros import nodes` imports a room by name.
+        # `from geoorbit_ros import nodes` imports a subpackage by name.
         return [f"{start}.{alias.name}" for alias in node.names]
     if isinstance(node, ast.Call) and node.args and isinstance(node.args[0], ast.Constant):
         called = node.func.attr if isinstance(node.func, ast.Attribute) else ""
@@ -83,22 +83,24 @@ def breach(found: Import) -> str | None:
     top, _, rest = found.module.partition(".")
     if top == PACKAGE:
         target = rest.partition(".")[0]
-        if target in ROOMS - {found.room} and (found.room, target) not in ALLOWED:
-            return found.breach(f"docs/architecture.md draws no edge from {found.room} to {target}")
+        if target in SUBPACKAGES - {found.subpackage} and (found.subpackage, target) not in ALLOWED:
+            return found.breach(
+                f"docs/architecture.md draws no edge from {found.subpackage} to {target}"
+            )
         return None
-    for pattern, rooms in RESERVED.items():
-        if re.fullmatch(pattern, top) and found.room not in rooms:
-            return found.breach(f"only {', '.join(sorted(rooms))} may")
-    if found.room == "core" and top not in CORE_MAY_IMPORT | sys.stdlib_module_names:
+    for pattern, allowed in RESERVED.items():
+        if re.fullmatch(pattern, top) and found.subpackage not in allowed:
+            return found.breach(f"only {', '.join(sorted(allowed))} may")
+    if found.subpackage == "core" and top not in CORE_MAY_IMPORT | sys.stdlib_module_names:
         return found.breach(f"core needs only {', '.join(sorted(CORE_MAY_IMPORT))}")
     return None
 
 
 def used_edges(found: list[Import]) -> set[tuple[str, str]]:
-    """Edges between rooms that some import needs."""
-    targets = ((item.room, item.module.partition(".")) for item in found)
+    """Edges between subpackages that some import needs."""
+    targets = ((item.subpackage, item.module.partition(".")) for item in found)
     pairs = {(a, rest.partition(".")[0]) for a, (top, _, rest) in targets if top == PACKAGE}
-    return {(a, b) for a, b in pairs if a != b and b in ROOMS}
+    return {(a, b) for a, b in pairs if a != b and b in SUBPACKAGES}
 
 
 def cycle(edges: set[tuple[str, str]]) -> list[str]:
@@ -123,26 +125,26 @@ def module_edges(root: Path) -> set[tuple[str, str]]:
     return edges
 
 
-def test_imports_follow_the_picture() -> None:
+def test_imports_follow_the_diagram() -> None:
     breaches = [text for item in imports(ROOT) if (text := breach(item))]
     assert not breaches, "\n" + "\n".join(breaches)
 
 
-def test_every_edge_of_the_picture_is_needed() -> None:
+def test_every_edge_of_the_diagram_is_needed() -> None:
     assert sorted(ALLOWED - used_edges(list(imports(ROOT)))) == []
 
 
-def test_neither_rooms_nor_files_import_in_a_circle() -> None:
+def test_neither_subpackages_nor_files_import_in_a_circle() -> None:
     assert cycle(ALLOWED) == []
     assert cycle(module_edges(ROOT)) == []
 
 
-def test_every_room_is_in_the_picture() -> None:
-    rooms = {path.name for path in ROOT.iterdir() if (path / "__init__.py").is_file()}
+def test_every_subpackage_is_in_the_diagram() -> None:
+    folders = {path.name for path in ROOT.iterdir() if (path / "__init__.py").is_file()}
     files = {path.stem for path in ROOT.glob("*.py")} - {"__init__"}
-    assert rooms | files == ROOMS
-    table = re.findall(r"^\| `(\w+)` \|", PICTURE.read_text(encoding="utf-8"), re.MULTILINE)
-    assert sorted(table) == sorted(ROOMS)
+    assert folders | files == SUBPACKAGES
+    table = re.findall(r"^\| `(\w+)` \|", DIAGRAM.read_text(encoding="utf-8"), re.MULTILINE)
+    assert sorted(table) == sorted(SUBPACKAGES)
 
 
 def test_a_circle_is_found() -> None:

@@ -56,7 +56,7 @@ def patch(lanes: LanesArgument, net: NetOption, out: OutOption) -> None:
     netconvert made it of (patch.edg.xml and patch.con.xml are the changes); patch.json with the
     findings before and after and netconvert's options; before.png and after.png.
 
-    Example: [bold]geoorbit twin patch lanes.geojson --net area/network.net.xml --out mended[/bold]
+    Example: [bold]geoorbit twin patch lanes.geojson --net area/network.net.xml --out new[/bold]
     """
     import json
 

@@ -103,9 +103,9 @@ def test_a_camera_is_checked_and_added_to_a_fleet(processed: Processed, tmp_path
     assert camera.calibration is not None
     assert (tmp_path / camera.calibration).resolve() == calibration.resolve()
     assert (tmp_path / camera.source).resolve() == film.resolve()
-    picture = cv2.imread(str(out / "calibration.png"))
-    assert picture is not None
-    assert picture.shape == (SIZE[1], SIZE[0], 3)
+    image = cv2.imread(str(out / "calibration.png"))
+    assert image is not None
+    assert image.shape == (SIZE[1], SIZE[0], 3)
     assert {path.name for path in out.iterdir()} == {
         *("calibration.png", "tracks.csv", "lanes.geojson", "report.html")
     }

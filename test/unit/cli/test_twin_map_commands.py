@@ -50,7 +50,7 @@ def test_validate_writes_report_and_picture(folder: Path, tmp_path: Path, capsys
 def test_patch_writes_a_network_without_findings(
     folder: Path, tmp_path: Path, capsys: Capture
 ) -> None:
-    net, out = folder / "narrow.net.xml", tmp_path / "mended"
+    net, out = folder / "narrow.net.xml", tmp_path / "corrected"
     code, said = run(capsys, "patch", folder / "lanes.geojson", "--net", net, "--out", out)
     assert code == 0, said
     record = json.loads((out / "patch.json").read_text())

@@ -197,8 +197,8 @@ def test_a_refused_update_leaves_no_trace() -> None:
         assert refusal_of(server, payload) == reason
     huge_count = update_of(server, north, ZERO, sample_count=2**31)
     assert refusal_of(server, huge_count) == Refusal.OUT_OF_RANGE
-    judged = update_of(server, north, ZERO[:0], sample_count=0)
-    assert refusal_of(server, judged) == Refusal.NOT_SELECTED
+    validated = update_of(server, north, ZERO[:0], sample_count=0)
+    assert refusal_of(server, validated) == Refusal.NOT_SELECTED
     assert refusal_of(server, update_of(server, north, ZERO, loss=np.inf)) == Refusal.NOT_FINITE
     assert (server.collected, server.accepted) == (0, 0)
     server.receive(good, 0.0)

@@ -30,7 +30,7 @@ CASES = {
 }
 Take = Callable[[bytes], object]
 
-# Unsigned, so that a changed byte is judged by what it says and not by its signature.
+# Unsigned, so that a changed byte is checked by what it says and not by its signature.
 NAMES = ("north", "south", "west")
 CONFIG = ServerConfig(encoding="top_k", rounds=9, validation_divisor=1)
 SERVER = FederatedServer(CONFIG, first_tensors(), Roster(Member(n, None) for n in NAMES))

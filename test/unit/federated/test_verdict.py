@@ -78,19 +78,19 @@ def test_who_abstains_does_not_count_and_one_judge_is_none() -> None:
 
 @pytest.mark.parametrize("clients", [8, 12, 40, 1000])
 @pytest.mark.parametrize("every", [2, 4, 10])
-def test_about_one_in_so_many_judges(clients: int, every: int) -> None:
+def test_about_one_in_so_many_only_validates(clients: int, every: int) -> None:
     numbers = np.random.default_rng(clients).integers(0, 2**32, clients).tolist()
     divisor = validation_divisor(numbers, every)
-    judges = sum(is_validation_client(n, divisor) for n in numbers)
+    validating = sum(is_validation_client(n, divisor) for n in numbers)
     if clients < 2 * every:
         assert divisor == 1
         return
-    assert abs(judges - clients / every) <= 1 + 2.5 * np.sqrt(clients / every)
-    assert judges + sum(is_training_client(n, divisor) for n in numbers) == clients
+    assert abs(validating - clients / every) <= 1 + 2.5 * np.sqrt(clients / every)
+    assert validating + sum(is_training_client(n, divisor) for n in numbers) == clients
 
 
 def with_gains(federation: Federation, gains: dict[str, float]) -> Federation:
-    """Judges who say what the test wants."""
+    """Validation clients that report the gains that the test wants."""
 
     class Fixed(Camera):
         def gain(self, tensors: object) -> float:
@@ -205,7 +205,7 @@ def test_who_joins_late_uses_the_defaults_until_the_next_verdict(tmp_path: Path)
         late.receive(payload)
     kept = federation.clients[0]
     kept.receive(announced[-1])
-    assert kept.used not in (0, kept.model_of[2])  # the model before this one was judged
+    assert kept.used not in (0, kept.model_of[2])  # the model before this one was validated
     assert late.used == 0
     assert late.tensors is not None
     # Started again, the first one still has what it used.

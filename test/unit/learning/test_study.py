@@ -56,8 +56,8 @@ def test_evaluate_writes_tables_and_figures(study: Path) -> None:
     for words in ("| unseen | FedMeta |", "| seen | Searched |", "lane count right", "BPS"):
         assert words in text
     for mode in ("central", "federated"):
-        picture = study / "evaluation" / f"loss-{mode}-curvilinear.png"
-        assert picture.read_bytes()[:4] == b"\x89PNG"
+        figure = study / "evaluation" / f"loss-{mode}-curvilinear.png"
+        assert figure.read_bytes()[:4] == b"\x89PNG"
 
 
 def test_bad_input_is_one_sentence_and_exit_code_two(

@@ -94,7 +94,7 @@ def test_one_displaced_road_of_two_is_one_finding(network: RoadNetwork, tmp_path
 
 
 @pytest.mark.parametrize("error", get_args(Error))
-def test_a_planted_error_is_found_and_mended(
+def test_a_planted_error_is_found_and_corrected(
     network: RoadNetwork, lanes: list[Lane], error: Error, tmp_path: Path
 ) -> None:
     (tmp_path / "plain").mkdir()
@@ -115,8 +115,8 @@ def test_a_planted_error_is_found_and_mended(
     assert result.after.findings == ()
     assert result.left == ()
     for name in ("east_0", "east_2", "bend_0", "west_0", "ramp_0"):
-        true, mended = network.line(network.number[name]), result.network
-        line = mended.line(mended.number[name])
+        true, corrected = network.line(network.number[name]), result.network
+        line = corrected.line(corrected.number[name])
         for end in (0, -1):
             assert np.hypot(*(true[end] - line[end])) < 2.0  # junctions keep their outlines
         middle = true[len(true) // 2]
