@@ -39,7 +39,7 @@ class Lane:
         right_m: (K, 2) right boundary.
         width_m: Mean distance between the boundaries.
         width_sigma_m: 1-sigma error of `width_m`.
-        confidence: Probability in [0, 1] that this is exactly one lane.
+        confidence: Score in [0, 1]: how sure it is that this is exactly one lane.
         status: `confirmed` when the evidence suffices, else `tentative`.
         vehicles: Distinct vehicles seen in the lane (decayed evidence counts less).
         vehicles_missing: How many more vehicles would confirm it; 0 when confirmed.

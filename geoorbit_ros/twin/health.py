@@ -24,7 +24,7 @@ class HealthReport:
         steps: How many steps.
         vehicles: In the twin at the last step.
         vehicle_steps: Vehicles that a camera saw, summed over the steps.
-        coasting_steps: The same for vehicles that no camera saw.
+        unseen_steps: The same for vehicles that no camera saw.
         position_error_m_p95, position_error_m_max: Of the middle of the footprint.
         heading_error_deg_p95, heading_error_deg_max: Of the heading.
         lane_error_share: Share of vehicle steps in another lane than the tracks say.
@@ -41,7 +41,7 @@ class HealthReport:
     steps: int
     vehicles: int
     vehicle_steps: int
-    coasting_steps: int
+    unseen_steps: int
     position_error_m_p95: float
     position_error_m_max: float
     heading_error_deg_p95: float
@@ -72,7 +72,7 @@ class HealthReport:
 
     def values(self) -> dict[str, float | int]:
         """All figures by name."""
-        return asdict(self)
+        return asdict(self) | {"coasting_steps": self.unseen_steps}  # its old name, until 0.2.0
 
 
 class HealthWindow:
@@ -83,7 +83,7 @@ class HealthWindow:
         self._position: list[NDArray[np.float64]] = []
         self._heading: list[NDArray[np.float64]] = []
         self._latency_s: list[float] = []
-        self._observed = self._coasting = self._wrong = self._known = self._beside = 0
+        self._observed = self._unseen = self._wrong = self._known = self._beside = 0
         self._overlapping = self._lost = self._vehicles = 0
         self._cost_s: list[float] = []
         self._stamp_ns = 0
@@ -102,7 +102,7 @@ class HealthWindow:
         self._wrong += int(np.count_nonzero(step.lane[known] != step.wanted_lane[known]))
         self._beside += int(np.count_nonzero(kept & (step.wanted_lane == NO_LANE)))
         self._observed += int(np.count_nonzero(seen))
-        self._coasting += int(np.count_nonzero(~seen))
+        self._unseen += int(np.count_nonzero(~seen))
         self._overlapping += overlapping_pairs(step.xy[~gone])
         self._lost += int(np.count_nonzero(gone))
         self._vehicles, self._stamp_ns = len(step.xy), step.stamp_ns
@@ -124,7 +124,7 @@ class HealthWindow:
             steps=len(self._cost_s),
             vehicles=self._vehicles,
             vehicle_steps=self._observed,
-            coasting_steps=self._coasting,
+            unseen_steps=self._unseen,
             position_error_m_p95=_quantile(position, 0.95),
             position_error_m_max=_quantile(position, 1.0),
             heading_error_deg_p95=_quantile(heading, 0.95),

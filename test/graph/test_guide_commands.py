@@ -15,7 +15,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from made_models import red_finder
+from typer.main import get_command
 
+from geoorbit_ros.cli.app import app
 from geoorbit_ros.cli.main import main
 from geoorbit_ros.conversions import decode_table, encode_table
 from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE, TRACK_DTYPE
@@ -139,6 +141,20 @@ def test_shell_examples_run(page: str, tmp_path: Path, monkeypatch: pytest.Monke
             assert program == "cmp", f"{page}: {command}: add it to NOT_HERE with the reason"
             done = subprocess.run([program, *arguments], capture_output=True, check=False)
             assert (done.returncode, done.stdout) == (0, b""), command
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_options_of_examples_that_do_not_run_exist(page: str) -> None:
+    """An example that can't run here is parsed: unknown and missing options are found."""
+    for example in filter(not_here, commands(page)):
+        words = shlex.split(re.sub(r"^(\w+=\S+ )*\./dev run ", "geoorbit ", example))
+        if words[0] == "geoorbit":
+            command, arguments = get_command(app), words[1:]
+            while names := getattr(command, "commands", {}):
+                name, *arguments = arguments
+                command = names[name]
+            with command.make_context(example, arguments):
+                pass
 
 
 @pytest.mark.parametrize("page", PAGES)

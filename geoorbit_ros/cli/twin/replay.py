@@ -245,7 +245,7 @@ def _print_score(score: ReplayScore) -> None:
     console.print(table)
     say(
         f"{score.vehicles} vehicles from {score.tracks} tracks in {health.steps} steps: "
-        f"{health.vehicle_steps} times seen, {health.coasting_steps} times going on unseen."
+        f"{health.vehicle_steps} times seen, {health.unseen_steps} times not seen by a camera."
     )
     say(
         f"Lane as matched in {1.0 - health.lane_error_share:.2%}, beside every lane in "

@@ -131,7 +131,7 @@ def test_replay_and_routes_of_a_bag(
     assert score["vehicles_total"] > 10
     lines = (tmp_path / "twin" / "vehicles.csv").read_text().splitlines()
     assert lines[0].startswith("time_s,vehicle,type,latitude")
-    assert len(lines) - 1 == score["vehicle_steps"] + score["coasting_steps"]
+    assert len(lines) - 1 == score["vehicle_steps"] + score["unseen_steps"]
     assert (tmp_path / "twin" / "twin.png").stat().st_size > 10_000
 
     assert main(["twin", "routes", *given, "--out", str(tmp_path / "demand")]) == 0
