@@ -102,10 +102,10 @@ def look_through(scene: str) -> Camera:
 def draw_hero(camera: Camera) -> Figure:
     """What goes in, what comes out."""
     figure, (image, road) = plt.subplots(
-        1, 2, figsize=(10.5, 3.4), width_ratios=(10, 15), layout="constrained"
+        1, 2, figsize=(7.0, 3.0), width_ratios=(8, 15), layout="constrained"
     )
     draw_image(image, camera, "In: a minute of tracked boxes")
-    draw_map(road, camera, "Out: the lanes, with width, error and confidence")
+    draw_map(road, camera, "Out: lanes with width, error, confidence", text_size=8.5)
     return figure
 
 
@@ -129,14 +129,14 @@ def draw_image(axes: Axes, camera: Camera, title: str) -> None:
     axes.set_title(title)
 
 
-def draw_map(axes: Axes, camera: Camera, title: str) -> None:
+def draw_map(axes: Axes, camera: Camera, title: str, text_size: float = 6.5) -> None:
     """Lanes over vehicle paths, turned so that the first corridor runs to the right."""
     turn = Turn(camera)
     for k in range(len(camera.segments)):
         xy = turn(nodes_of(camera.segments, k))
         axes.plot(*xy.T, color=GREY, lw=0.5, alpha=0.35)
     for lane in camera.lane_map.confirmed:
-        draw_lane(axes, lane, turn, colour_of(camera, lane))
+        draw_lane(axes, lane, turn, colour_of(camera, lane), text_size)
     ends = np.vstack([turn(lane.centerline_m) for lane in camera.lane_map.confirmed])
     axes.set_xlim(ends[:, 0].min() - 8.0, ends[:, 0].max() + 8.0)
     axes.set_ylim(ends[:, 1].min() - 9.0, ends[:, 1].max() + 9.0)
@@ -160,7 +160,7 @@ class Turn:
         return np.asarray(xy @ self._matrix.T)
 
 
-def draw_lane(axes: Axes, lane: Lane, turn: Turn, colour: str) -> None:
+def draw_lane(axes: Axes, lane: Lane, turn: Turn, colour: str, text_size: float) -> None:
     """A lane's area, centreline, arrow and figures."""
     left, right, line = turn(lane.left_m), turn(lane.right_m), turn(lane.centerline_m)
     tentative = lane.status == "tentative"
@@ -177,7 +177,7 @@ def draw_lane(axes: Axes, lane: Lane, turn: Turn, colour: str) -> None:
     text = f"{lane.lane_id}   {lane.width_m:.2f} ± {lane.width_sigma_m:.2f} m"
     text += f"   {lane.confidence:.2f}"
     box = {"boxstyle": "round,pad=0.2", "fc": "white", "ec": "none", "alpha": 0.85}
-    axes.annotate(text, line[m], ha="center", va="center", size=6.5, color=colour, bbox=box)
+    axes.annotate(text, line[m], ha="center", va="center", size=text_size, color=colour, bbox=box)
 
 
 def draw_scale(axes: Axes, length_m: float = 20.0) -> None:
@@ -297,18 +297,18 @@ def colour_of(camera: Camera, lane: Lane) -> str:
     return COLOURS[0] if along > 0.0 else COLOURS[1]
 
 
-def save(figure: Figure, name: str) -> None:
+def save(figure: Figure, name: str, dpi: int = 120) -> None:
     """One PNG in docs/images; no time, no version in its metadata."""
     IMAGES.mkdir(exist_ok=True)
     path = IMAGES / name
-    figure.savefig(path, dpi=120, facecolor="white", metadata={"Software": None})
+    figure.savefig(path, dpi=dpi, facecolor="white", metadata={"Software": None})
     plt.close(figure)
     print(f"{path}: {path.stat().st_size // 1024} kB")
 
 
 def main() -> int:
     """Draw all figures."""
-    save(draw_hero(look_through("curve_250m")), "lanes-overview.png")
+    save(draw_hero(look_through("curve_250m")), "lanes-overview.png", dpi=180)
     ramp, city = look_through("off_ramp_diverge"), look_through("urban_turn")
     save(draw_segments(ramp), "lanes-1-segments.png")
     save(draw_corridors([ramp, city]), "lanes-2-corridors.png")

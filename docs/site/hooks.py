@@ -33,6 +33,12 @@ LOADS = re.compile(
 """What a browser would load from another host."""
 
 LIST = re.compile(r"^  (\w+) --> (.+)$", re.MULTILINE)
+WIDE = {"architecture.md": ["navigation", "toc"], "results.md": ["navigation"]}
+"""Pages with wide tables or drawings, and the columns beside them that give way."""
+
+diagrams: dict[str, str] = {}
+"""Drawn diagrams by file name, also written as files of their own."""
+
 IMAGES = f"{REPOSITORY}/raw/main/docs/"
 """Where the README shows its images from, so that a package index shows them, too."""
 
@@ -67,11 +73,16 @@ def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
     source = page.file.src_uri
     if source not in OUTSIDE.values() and not source.startswith("api/"):
         markdown = moved_links(markdown, ROOT / "docs" / source, source)
-    return DIAGRAM.sub(lambda block: drawn(block[1]), markdown)
+    page.meta["hide"] = WIDE.get(source, [])
+    return DIAGRAM.sub(lambda block: drawn(block[1], source), markdown)
 
 
 def on_post_build(config: MkDocsConfig) -> None:
-    """Fail if a page loads anything from another host."""
+    """Write the diagrams as files; fail if a page loads anything from another host."""
+    folder = Path(config.site_dir) / "diagrams"
+    folder.mkdir(exist_ok=True)
+    for name, svg in diagrams.items():
+        (folder / name).write_text(svg, encoding="utf-8")
     for page in sorted(Path(config.site_dir).rglob("*.html")):
         if found := LOADS.search(page.read_text(encoding="utf-8")):
             raise PluginError(f"{page}: loads {found[0]!r} from another host")
@@ -109,10 +120,18 @@ def moved_links(text: str, source: Path, page: str) -> str:
     return LINK.sub(moved, text)
 
 
-def drawn(diagram: str) -> str:
-    """Draw a Mermaid diagram as SVG, so that no page loads a script for it."""
+def drawn(diagram: str, page: str) -> str:
+    """Draw a Mermaid diagram as SVG, so that no page loads a script for it.
+
+    A click on it opens the drawing alone, in its full size.
+    """
     svg = mermaidx.render(reduced(diagram), theme="neutral").svg()
-    return f'<div class="diagram">{"".join(svg.splitlines())}</div>'
+    name = f"{Path(page).stem}-{len(diagrams)}.svg"
+    diagrams[name] = svg
+    target = "../" * page.count("/") + f"diagrams/{name}"
+    title = "Open the diagram in its full size"
+    inline = "".join(svg.splitlines())
+    return f'<a class="diagram" href="{target}" title="{title}">{inline}</a>'
 
 
 def reduced(diagram: str) -> str:
