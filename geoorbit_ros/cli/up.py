@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from geoorbit_ros.fleet.fleet_file import Fleet
     from geoorbit_ros.fleet.plan import ProcessPlan
@@ -53,12 +53,40 @@ def up(
     folder = (out or Path("out") / content.name).absolute()
     base = file.parent.absolute()
     plans = select(plan_fleet(content, base, folder), only or [])
+    _check_plugins(file, plans)
     if dry_run:
         _print_plan(content, plans, folder)
         return
     with status("looking at the cameras"):
         plans = prepare(content, base, folder, only or [])
     _watch(fleet, content, plans, folder, duration_s)
+
+
+def _check_plugins(file: Path, plans: Sequence[ProcessPlan]) -> None:
+    """Load every plug-in as its node will: its mistakes are told before anything starts.
+
+    Raises:
+        GeoOrbitError: A file without such a class, or a class that its node can't use.
+    """
+    from geoorbit_ros.core.errors import ParameterError
+    from geoorbit_ros.detection.detector import make_detector
+    from geoorbit_ros.federated.strategies.strategy import make_strategy
+    from geoorbit_ros.fleet.plan import chosen_plugins
+    from geoorbit_ros.lanes.estimators.estimator import make_estimator
+    from geoorbit_ros.tracking.tracker import make_tracker
+
+    makers: dict[str, Callable[[str], object]] = {
+        "detector": lambda name: make_detector(Path(name)),
+        "estimator": make_estimator,
+        "strategy": make_strategy,
+        "tracker": make_tracker,
+    }
+    for place, kind, name in chosen_plugins(plans):
+        try:
+            makers[kind](name)
+        except ParameterError as error:
+            where = f"{file}, {place}, {error.place}"
+            raise ParameterError(where, error.found, error.expected) from error
 
 
 def _watch(

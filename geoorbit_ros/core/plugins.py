@@ -95,6 +95,11 @@ def is_plugin(text: str) -> bool:
     return _PLUGIN.fullmatch(text) is not None
 
 
+def is_file(text: str) -> bool:
+    """Whether a name means a Python file, with or without the name of the class."""
+    return is_plugin(text) or text.endswith(".py")
+
+
 def plugin_file(text: str) -> str:
     """The file in such a name; any other text as it is."""
     match = _PLUGIN.fullmatch(text)
@@ -112,6 +117,11 @@ def check_name(kind: str, name: str, place: str | None = None) -> None:
     Raises:
         ParameterError: Such a name.
     """
+    if kind in FROM_FILES and name.endswith(".py"):
+        expected_class = f"the name of a class in it, too: write {FORM}"
+        raise ParameterError(
+            place or f"parameter '{kind}'", f"only the file {name}", expected_class
+        )
     if not is_name(kind, name):
         raise ParameterError(place or f"parameter '{kind}'", repr(name), expected(kind))
 

@@ -96,7 +96,7 @@ def make_detector(model: Path | None = None, settings: DetectorSettings | None =
         ParameterError: An execution provider that is not there, or a file without such a class.
     """
     name = "motion" if model is None else str(model)
-    if not (plugins.is_plugin(name) or name in plugins.registered("detector")):
+    if not (plugins.is_file(name) or name in plugins.registered("detector")):
         name = "yolo"
     settings = replace(settings or DetectorSettings(), model=model)
     return plugins.make(

@@ -8,8 +8,9 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from geoorbit_ros.core.errors import GeoOrbitError, InputFileError
-from geoorbit_ros.core.plugins import plugin_file, registered
+from geoorbit_ros.core.plugins import FROM_FILES, is_file, plugin_file, registered
 from geoorbit_ros.fleet.fleet_file import Camera, Fleet, Value
+from geoorbit_ros.parameters import spec_by_name
 
 BAG_IMAGE_SIZE = (1920, 1080)
 """Width and height of the images of a recording of boxes, which doesn't tell them: full HD."""
@@ -118,7 +119,8 @@ def plan_nodes(
         if keys:
             files = {"roster": keys.folder / ROSTER, "key_file": keys.folder / SERVER_KEY}
             wiring |= {name: str(file) for name, file in files.items()}
-        node = NodePlan(SERVER, "", wiring | fleet.federated_server.parameters)
+        given = _beside(SERVER, fleet.federated_server.parameters, base)
+        node = NodePlan(SERVER, "", wiring | given)
         plans.append(ProcessPlan(SERVER, (node,), first=True))
     views: dict[str, Value] = {
         "cameras": " ".join(camera.id for camera in cameras),
@@ -181,8 +183,36 @@ def camera_nodes(
         if camera.kind != "stream":
             wiring["camera"] |= {"loop": True, "start_time_s": 0.0}
     for executable, values in wiring.items():
-        merged = values | camera.parameters.get(executable, {})
-        yield NodePlan(executable, camera.id, merged)
+        given = _beside(executable, camera.parameters.get(executable, {}), base)
+        yield NodePlan(executable, camera.id, values | given)
+
+
+def plugin_kind(executable: str, parameter: str) -> str:
+    """Kind of plug-in that a node's parameter takes; empty: none."""
+    if (executable, parameter) == ("detector", "model"):  # which takes ONNX files, too
+        return "detector"
+    spec = spec_by_name(executable).get(parameter)
+    return spec.plugin if spec is not None and spec.plugin in FROM_FILES else ""
+
+
+def chosen_plugins(plans: Iterable[ProcessPlan]) -> Iterable[tuple[str, str, str]]:
+    """Process with node, kind and name of every plug-in that the nodes of a fleet load."""
+    for plan in plans:
+        for node in plan.nodes:
+            for name, value in node.parameters.items():
+                kind = plugin_kind(node.executable, name)
+                if kind and is_file(str(value)):
+                    yield f"{plan.name}, node {node.executable}", kind, str(value)
+
+
+def _beside(executable: str, given: Mapping[str, Value], base: Path) -> dict[str, Value]:
+    """Parameters of a fleet file; plug-ins in them start at the fleet file's folder."""
+    return {
+        name: str(base / str(value))
+        if plugin_kind(executable, name) and is_file(str(value))
+        else value
+        for name, value in given.items()
+    }
 
 
 def make_folders(fleet: Fleet, output: Path) -> None:

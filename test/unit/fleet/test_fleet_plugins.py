@@ -1,0 +1,103 @@
+"""Plug-ins that a fleet file names: found beside it, and loaded before anything starts."""
+
+from pathlib import Path
+
+import pytest
+
+from geoorbit_ros.cli.main import main
+from geoorbit_ros.fleet.fleet_file import load_fleet
+from geoorbit_ros.fleet.plan import chosen_plugins, plan_fleet
+
+FLEET = """
+name: crossing
+cameras:
+  - id: north
+    source: north.mp4
+    calibration: north.csv
+    model: red.py:Red
+    parameters:
+      tracker: {tracker: large.py:Large}
+      lane_geometry: {estimator: sub/wide.py:Wide}
+      meta_client: {estimator: sub/wide.py:Wide}
+federated_server: {parameters: {strategy: cautious.py:Cautious}}
+"""
+FILES = {
+    "red.py": "class Red:\n    name = 'red'\n    def warm_up(self, images): ...\n"
+    "    def detect(self, stamp_ns, image): ...\n",
+    "large.py": "from geoorbit_ros.tracking.tracker import Tracker\nclass Large(Tracker): ...\n",
+    "sub/wide.py": "class Wide:\n    def add(self, stamp_ns, rows): ...\n"
+    "    def lanes(self, parameters): ...\n",
+    "cautious.py": "from geoorbit_ros.federated.strategies.strategy import Strategy\n"
+    "class Cautious(Strategy): ...\n",
+}
+
+
+@pytest.fixture
+def fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A fleet file with plug-ins beside it; the current folder is another one."""
+    folder, elsewhere = tmp_path / "fleet", tmp_path / "elsewhere"
+    (folder / "sub").mkdir(parents=True)
+    elsewhere.mkdir()
+    for name, text in {**FILES, "fleet.yaml": FLEET, "north.mp4": "", "north.csv": ""}.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    monkeypatch.chdir(elsewhere)
+    return folder / "fleet.yaml"
+
+
+def test_every_plugin_is_found_beside_the_fleet_file(fleet: Path) -> None:
+    content, _ = load_fleet(fleet)
+    plans = plan_fleet(content, fleet.parent, fleet.parent / "out")
+    beside = [
+        (kind, str(fleet.parent / name))
+        for kind, name in (
+            ("strategy", "cautious.py:Cautious"),
+            ("estimator", "sub/wide.py:Wide"),
+            ("estimator", "sub/wide.py:Wide"),
+            ("tracker", "large.py:Large"),
+            ("detector", "red.py:Red"),
+        )
+    ]
+    assert sorted((kind, name) for _, kind, name in chosen_plugins(plans)) == sorted(beside)
+    assert main(["up", str(fleet), "--dry-run"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "said"),
+    [
+        ("red.py", "class Red:", "class Red", "SyntaxError"),
+        ("red.py", "def detect", "def find", "Red without detect"),
+        ("large.py", "class Large", "class Small", "Large"),
+        ("large.py", "(Tracker)", "", "Large without "),
+        ("sub/wide.py", "def lanes", "def lane", "Wide without lanes"),
+        ("sub/wide.py", "class Wide:", "1 / 0\nclass Wide:", "ZeroDivisionError"),
+        ("cautious.py", "(Strategy)", "", "Cautious without "),
+        ("cautious.py", "import Strategy", "import Stratagem", "ImportError"),
+        ("fleet.yaml", "red.py:Red", "red.py", "write FILE.py:CLASS"),
+        ("fleet.yaml", "large.py:Large", "large.py", "FILE.py:CLASS"),
+        ("fleet.yaml", "sub/wide.py:Wide", "wide.py:Wide", "wide.py"),
+    ],
+)
+def test_a_mistake_in_a_plugin_is_told_before_anything_starts(
+    fleet: Path,
+    file: str,
+    old: str,
+    new: str,
+    said: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    path = fleet.parent / file
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new), encoding="utf-8")
+    assert main(["up", str(fleet)]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert Path(file).name in error
+    assert error.count("\n") == 1, error
+    assert not Path("out").exists()
+
+
+def test_a_dry_run_loads_plugins_too(fleet: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (fleet.parent / "red.py").write_text("class Red:", encoding="utf-8")
+    assert main(["up", str(fleet), "--dry-run"]) == 2
+    assert "red.py" in capsys.readouterr().err
