@@ -33,8 +33,8 @@ LOADS = re.compile(
 """What a browser would load from another host."""
 
 LIST = re.compile(r"^  (\w+) --> (.+)$", re.MULTILINE)
-WIDE = {"architecture.md": ["navigation", "toc"], "results.md": ["navigation"]}
-"""Pages with wide tables or drawings, and the columns beside them that give way."""
+WIDE = ("architecture.md", "results.md")
+"""Pages with wide tables or drawings: these get the place of the table of contents, too."""
 
 diagrams: dict[str, str] = {}
 """Drawn diagrams by file name, also written as files of their own."""
@@ -73,7 +73,8 @@ def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
     source = page.file.src_uri
     if source not in OUTSIDE.values() and not source.startswith("api/"):
         markdown = moved_links(markdown, ROOT / "docs" / source, source)
-    page.meta["hide"] = WIDE.get(source, [])
+    if source in WIDE:
+        page.meta["hide"] = ["toc"]
     return DIAGRAM.sub(lambda block: drawn(block[1], source), markdown)
 
 
