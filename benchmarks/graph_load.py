@@ -225,7 +225,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cameras", type=int, default=8)
     parser.add_argument("--seconds", type=float, default=60.0)
-    parser.add_argument("--processes", type=int, default=8, help="the cameras are dealt to these")
+    parser.add_argument(
+        "--processes", type=int, default=8, help="the cameras are shared out among these"
+    )
     parser.add_argument("--run", nargs="+", help=argparse.SUPPRESS)
     parser.add_argument("--domain-id", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--calibration", help=argparse.SUPPRESS)

@@ -43,8 +43,8 @@ def add(
     """Check a camera's calibration, watch it for a minute, and add it to a fleet file.
 
     Draws the control points with their errors into an image, says how far the camera can see,
-    finds lanes, and says what traffic is still missing. The fleet file is changed last, when all
-    of it has worked.
+    finds lanes, and says how many more vehicles each needs. The fleet file is changed last, when
+    all of it has worked.
 
     Example: [bold]geoorbit camera add north.mp4 --calibration north.csv --camera-id north
     --fleet fleet.yaml --out north_check[/bold]

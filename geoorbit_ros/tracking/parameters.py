@@ -28,12 +28,12 @@ class TrackerParameters:
     """Defaults were chosen on simulated scenes; docs/tracking.md says how.
 
     Attributes:
-        high_score: Detections from this confidence on are associated first.
+        high_score: Detections from this score on are associated first.
         low_score: Those from here to `high_score` continue tracks that found none of the first;
             weaker ones are ignored.
-        birth_score: Confidence that begins a track.
+        birth_score: Score that begins a track.
         confirm_hits: Observations after which a track gets its id and is published.
-        confirm_score: Confidence above which one observation is enough.
+        confirm_score: Score above which one observation is enough.
         max_gap_s: A track unobserved for longer has ended.
         predict_s: Unobserved tracks are published, flagged as predicted, for this long.
         image_width: Of the camera's image in pixels, 0 when unknown: with it boxes cut by the
