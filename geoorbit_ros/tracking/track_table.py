@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.tracking.motion_model import MotionNoise, measurement_variance, measurements
 from geoorbit_ros.tracking.parameters import TrackerParameters
+from geoorbit_ros.tracking.traffic_model import KEPT_SCORES, ScoreModel
 
 Array = NDArray[np.float64]
 
@@ -101,6 +102,8 @@ class TrackTable:
         score: (N,) confidence of the last observation.
         cut: (N,) whether the image border cut the last box.
         entering: (N,) whether the border cut all boxes so far.
+        evidence: (N,) log-odds that the track is a vehicle.
+        score_bins: (3, N) bins of its first scores, -1 for none, see `ScoreModel`.
         predicted_frames: (2, N) frames since the last observation in which it was predicted in the
             open and hidden.
     """
@@ -118,6 +121,8 @@ class TrackTable:
     score: Array = field(default_factory=lambda: np.empty(0))
     cut: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, np.bool_))
     entering: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, np.bool_))
+    evidence: Array = field(default_factory=lambda: np.empty(0))
+    score_bins: NDArray[np.int64] = field(default_factory=lambda: np.empty((3, 0), np.int64))
     predicted_frames: Array = field(default_factory=lambda: np.empty((2, 0)))
 
     def __len__(self) -> int:
@@ -133,11 +138,18 @@ class TrackTable:
 
     @classmethod
     def started(
-        cls, stamp_ns: int, state: Array, found: FrameDetections, which: NDArray[np.intp]
+        cls,
+        stamp_ns: int,
+        state: Array,
+        found: FrameDetections,
+        which: NDArray[np.intp],
+        scores: ScoreModel,
     ) -> TrackTable:
         """Unconfirmed tracks in `state`, observed for the first time in detections `which`."""
         zeros = np.zeros(len(which), np.int64)
         score = found.score[which]
+        bins = np.full((KEPT_SCORES, len(which)), -1)
+        bins[0] = scores.bin_of(score)
         return cls(
             state=state,
             box=found.box[:, which],
@@ -152,6 +164,8 @@ class TrackTable:
             score=score,
             cut=found.cut[which],
             entering=found.cut[which],
+            evidence=scores.evidence(score) + scores.prior,
+            score_bins=bins,
             predicted_frames=np.zeros((2, len(which))),
         )
 

@@ -21,19 +21,29 @@ from geoorbit_ros.core.tables import (
     FLAG_TRUNCATED,
     PIXEL_TRACK_DTYPE,
 )
-from geoorbit_ros.tracking.association import Pairs, assign, candidate_pairs
+from geoorbit_ros.tracking.association import (
+    LEAVE_COST,
+    Pairs,
+    assign,
+    candidate_pairs,
+    complete_cut_boxes,
+)
 from geoorbit_ros.tracking.motion_model import MEAN, MotionNoise, correct_in_doubt, predict, start
 from geoorbit_ros.tracking.parameters import TrackerParameters
 from geoorbit_ros.tracking.track_table import FrameDetections, TrackTable, prepare
-from geoorbit_ros.tracking.traffic_model import Flow, PredictionGate, hidden
+from geoorbit_ros.tracking.traffic_model import (
+    KEPT_SCORES,
+    Flow,
+    PredictionGate,
+    ScoreModel,
+    UnsteadyMotion,
+    hidden,
+    log_odds,
+)
 
 Array = NDArray[np.float64]
 
-PAIR_LIMIT = 36.0
-"""Cost from which a detection rather is another vehicle. Chosen, as the other constants of this
-room, on seed 11 of four scenes (docs/tracking.md): larger swaps ids, smaller gives one vehicle
-several."""
-GAP_COST = 4.0
+GAP_COST = 3.0
 """Cost of a second unobserved: the longer, the more likely the vehicle is gone and this another.
 Chosen: larger loses vehicles behind trucks, smaller gives their ids to others."""
 WEAK_GAP_S = 0.8
@@ -49,6 +59,18 @@ shows wrong predictions of short tracks, smaller shows fewer right ones."""
 FLOW_S = 0.3
 """A track tells how traffic moves once in this time. Chosen: shorter fills the memory with one slow
 vehicle, longer learns later."""
+LASTING_HITS = 10
+"""Observations of a track that lasts. Chosen: fewer take repeated false boxes for vehicles, more
+learn later."""
+EARLY_HITS = 5
+"""A track that ends with at most so many observations, away from the border, ended early. Chosen on
+KITTI tracking and the scenes: with 2 repeated false boxes teach nothing."""
+MISS_EVIDENCE = 1.0
+"""What a frame without detection says against an unconfirmed track. Chosen: larger loses vehicles
+that a detector sees now and then."""
+CONFIRM_S = 5.0
+"""A track observed for so long is confirmed whatever its scores: what stays and moves as predicted
+is something. Chosen: shorter shows false boxes, longer hides vehicles with low scores."""
 MAX_TRACKS = 2000
 """More at once are no traffic; those unobserved longest are dropped. Bounds memory."""
 MAX_ID = 2**31 - 1
@@ -142,7 +164,10 @@ class Tracker:
 
     def __init__(self, parameters: TrackerParameters | None = None) -> None:
         self._p = parameters or TrackerParameters()
-        self._noise = MotionNoise()
+        self._needed = float(
+            log_odds(np.array(self._p.confirm_score)) - log_odds(np.array(self._p.birth_score))
+        )
+        self._per_hit = self._needed / max(self._p.confirm_hits - 1, 1)
         self._next_id = self._p.first_id
         self.counts = TrackerCounts()
         self.reset()
@@ -157,6 +182,8 @@ class Tracker:
         self._tracks = TrackTable()
         self._flow = Flow()
         self._gate = PredictionGate()
+        self._scores = ScoreModel(self._p.birth_score)
+        self._motion = UnsteadyMotion(MotionNoise())
         self._stamp_ns: int | None = None
 
     @property
@@ -186,12 +213,13 @@ class Tracker:
             TableError: Rows of another dtype, or a stamp not later than the one before.
         """
         self._check(stamp_ns, detections)
-        found = prepare(detections, self._p, self._noise)
+        noise = self._motion.noise
+        found = prepare(detections, self._p, noise)
         self._count(detections, found)
         tracks = self._tracks
         self._end(self._expired(tracks.elapsed_s(stamp_ns)))
         elapsed_s = tracks.elapsed_s(stamp_ns)
-        predicted = predict(tracks.state, elapsed_s, self._noise)
+        predicted = predict(tracks.state, elapsed_s, noise)
         partner = self._associate(stamp_ns, predicted, elapsed_s, found)
         hit = np.flatnonzero(partner >= 0)
         of_hit = partner[hit]
@@ -199,9 +227,11 @@ class Tracker:
             np.count_nonzero((elapsed_s[hit] > self._p.predict_s) & (tracks.track_id[hit] > 0))
         )
         tracks.missed += 1
-        state = correct_in_doubt(
-            predicted[:, :, hit], found.measured[:, of_hit], found.variance[:, of_hit]
-        )
+        measured, variance = self._measured(predicted[MEAN][:, hit], hit, of_hit, found)
+        known = tracks.hits[hit] >= KEPT_SCORES
+        self._motion.learn(predicted[:, :, hit[known]], measured[:, known], variance[:, known])
+        state = correct_in_doubt(predicted[:, :, hit], measured, variance)
+        self._weigh(partner, found)
         # A vehicle that enters piece by piece shows no speed: its motion begins with a whole box.
         anew = tracks.entering[hit]
         state[:, :, anew] = self._start(found, of_hit[anew])
@@ -244,23 +274,51 @@ class Tracker:
             GAP_COST * elapsed_s,
             tracks.track_id > 0,
             tracks.class_id,
-            found.measured,
-            found.variance,
-            found.class_id,
+            ~tracks.entering,
+            found,
+            (self._p.image_width, self._p.image_height),
         )
         of_strong = found.strong[pairs.detection]
-        _settle(partner, pairs.where(of_strong), PAIR_LIMIT)
+        _settle(partner, pairs.where(of_strong), LEAVE_COST)
         doubtful_s = (stamp_ns - tracks.sure_ns) * 1e-9
         trusted = (elapsed_s < WEAK_GAP_S) & (doubtful_s < WEAK_S)
         open_weak = ~of_strong & (partner[pairs.track] < 0) & trusted[pairs.track]
         if open_weak.any():
-            _settle(partner, pairs.where(open_weak), PAIR_LIMIT)
+            _settle(partner, pairs.where(open_weak), LEAVE_COST)
         return partner
+
+    def _measured(
+        self, mean: Array, hit: NDArray[np.intp], of_hit: NDArray[np.intp], found: FrameDetections
+    ) -> tuple[Array, Array]:
+        """Measurements (4, H) of the tracks `hit` and their variances, cut boxes completed."""
+        measured, variance = found.measured[:, of_hit], found.variance[:, of_hit]
+        cut = found.cut[of_hit] & ~self._tracks.entering[hit]
+        if cut.any():
+            size = (self._p.image_width, self._p.image_height)
+            measured[:, cut], variance[:, cut] = complete_cut_boxes(
+                mean[:, cut], measured[:, cut], variance[:, cut], size
+            )
+        return measured, variance
+
+    def _weigh(self, partner: NDArray[np.intp], found: FrameDetections) -> None:
+        """Take what this frame says for and against each track being a vehicle."""
+        tracks = self._tracks
+        hit = np.flatnonzero(partner >= 0)
+        of_hit = partner[hit]
+        score, strong = found.score[of_hit], found.strong[of_hit]
+        tracks.evidence[hit] += np.where(strong, self._scores.evidence(score) + self._per_hit, 0.0)
+        unseen = (partner < 0) & (tracks.track_id == 0)
+        tracks.evidence[unseen] -= MISS_EVIDENCE
+        early = tracks.hits[hit] < KEPT_SCORES
+        tracks.score_bins[tracks.hits[hit[early]], hit[early]] = self._scores.bin_of(score[early])
+        lasting = hit[tracks.hits[hit] == LASTING_HITS - 1]
+        if len(lasting):
+            self._scores.learn(tracks.score_bins[:, lasting], lasted=True)
 
     def _confirm(self) -> None:
         tracks = self._tracks
-        sure = (tracks.hits >= self._p.confirm_hits) | (tracks.score > self._p.confirm_score)
-        fresh = np.flatnonzero((tracks.track_id == 0) & sure)
+        sure = (tracks.evidence >= self._needed) | (tracks.observed_s() >= CONFIRM_S)
+        fresh = np.flatnonzero((tracks.track_id == 0) & (tracks.missed == 0) & sure)
         if len(fresh):
             if self._next_id + len(fresh) - 1 > MAX_ID:
                 self._next_id = 1
@@ -287,7 +345,11 @@ class Tracker:
 
     def _end(self, ended: NDArray[np.bool_]) -> None:
         if ended.any():
-            self._gate.learn(self._tracks.predicted_frames[:, ended], right=False)
+            tracks = self._tracks
+            self._gate.learn(tracks.predicted_frames[:, ended], right=False)
+            early = ended & (tracks.hits <= EARLY_HITS) & ~tracks.cut
+            if early.any():
+                self._scores.learn(tracks.score_bins[:, early], lasted=False)
             self.counts.deaths += int(np.count_nonzero(ended & (self._tracks.track_id > 0)))
             self._tracks.keep(~ended)
 
@@ -297,12 +359,13 @@ class Tracker:
         new = np.flatnonzero(free)
         if len(new):
             state = self._start(found, new)
-            self._tracks.append(TrackTable.started(stamp_ns, state, found, new))
+            started = TrackTable.started(stamp_ns, state, found, new, self._scores)
+            self._tracks.append(started)
 
     def _start(self, found: FrameDetections, which: NDArray[np.intp]) -> Array:
         """(5, 4, K) states of vehicles seen for the first time in detections `which`."""
         box = found.box[:, which]
-        return start(box, found.variance[:, which], *self._flow.expect(box, self._noise))
+        return start(box, found.variance[:, which], *self._flow.expect(box, self._motion.noise))
 
     def _output(self, stamp_ns: int, predicted: Array, found: FrameDetections) -> NDArray[np.void]:
         """Rows to publish; `predicted` (5, 4, K) holds the states of the first K tracks."""

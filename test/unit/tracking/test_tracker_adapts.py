@@ -1,0 +1,114 @@
+"""What the tracker learns of its camera and detector, and what cut boxes say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from geoorbit_ros.core.tables import DETECTION_DTYPE, FLAG_PREDICTED
+from geoorbit_ros.tracking.association import complete_cut_boxes
+from geoorbit_ros.tracking.motion_model import MotionNoise, measurements
+from geoorbit_ros.tracking.parameters import TrackerParameters
+from geoorbit_ros.tracking.tracker import Tracker
+from geoorbit_ros.tracking.traffic_model import ScoreModel, UnsteadyMotion
+
+SIZE = (1200, 400)
+STEP_NS = 100_000_000
+
+
+def detections(*boxes: tuple[float, float, float, float, float]) -> NDArray[np.void]:
+    """Rows of x, y, width, height, score; cut to the image as a detector cuts them."""
+    rows = np.zeros(len(boxes), DETECTION_DTYPE)
+    for k, (x, y, width, height, score) in enumerate(boxes):
+        left, right = max(x - width / 2, 0.0), min(x + width / 2, SIZE[0])
+        rows[k] = ((left + right) / 2, y, right - left, height, score, 2)
+    return rows[rows["width"] > 8.0]
+
+
+def observed(tracker: Tracker, k: int, rows: NDArray[np.void]) -> NDArray[np.void]:
+    found = tracker.update(k * STEP_NS + 1, rows)
+    return found[(found["flags"] & FLAG_PREDICTED) == 0]
+
+
+def parameters() -> TrackerParameters:
+    return TrackerParameters(image_width=SIZE[0], image_height=SIZE[1])
+
+
+def test_vehicles_that_leave_one_after_the_other_keep_their_own_ids() -> None:
+    """A row of parked cars beside a moving camera: the border cuts each as the next follows."""
+    tracker = Tracker(parameters())
+    ids: dict[int, set[int]] = {}
+    for k in range(60):
+        cars = [(900.0 + 260.0 * n - 30.0 * k, 250.0, 180.0, 150.0, 0.95) for n in range(6)]
+        rows = detections(*cars)
+        for row in observed(tracker, k, rows):
+            right = row["x"] + row["width"] / 2
+            car = min(range(6), key=lambda n: abs(min(cars[n][0] + 90.0, SIZE[0]) - right))
+            ids.setdefault(car, set()).add(int(row["track_id"]))
+    assert {car: len(found) for car, found in ids.items()} == dict.fromkeys(range(6), 1)
+    assert len(set.union(*ids.values())) == 6
+
+
+def test_a_cut_box_is_completed_from_its_inner_edge() -> None:
+    whole = np.array([[20.0], [250.0], [180.0], [150.0]])
+    seen = np.array([[55.0], [250.0], [110.0], [150.0]])  # its left part is outside the image
+    values, spreads = complete_cut_boxes(
+        measurements(whole), measurements(seen), np.full((4, 1), 10.0), SIZE
+    )
+    assert values[:, 0] == pytest.approx(measurements(whole)[:, 0])
+    assert spreads[0, 0] == pytest.approx((180 / 110) ** 2)
+    assert spreads[1, 0] == pytest.approx(1.0)
+    assert spreads[2, 0] > 100.0, "the width is not measured"
+
+
+def test_scores_that_only_false_boxes_have_stop_confirming_tracks() -> None:
+    """Leaves with 0.8 come and go; vehicles have 0.95. At first one box of 0.8 is enough."""
+    tracker = Tracker(parameters())
+    random = np.random.default_rng(4)
+    shown = []
+    for k in range(400):
+        vehicle = (50.0 + 12.0 * (k % 90), 300.0, 60.0, 50.0, 0.95)
+        leaf = (*random.uniform((100, 50), (1100, 150)), 30.0, 30.0, 0.8)
+        rows = observed(tracker, k, detections(vehicle, leaf))
+        shown.append(int((rows["y"] < 200).sum()))
+    assert sum(shown[:5]) >= 3
+    assert sum(shown[200:]) < 0.05 * 200
+
+
+def test_a_score_says_nothing_before_anything_was_learnt_at_the_neutral_one() -> None:
+    scores = np.array([0.1, 0.42, 0.9])
+    model = ScoreModel(0.42)
+    evidence = model.evidence(scores) + model.prior
+    assert evidence[0] < -1.0
+    assert abs(evidence[1]) < 0.5
+    assert evidence[2] > 1.5
+    bins = np.full((3, 20), int(model.bin_of(np.array(0.9))))
+    model.learn(bins, lasted=False)
+    assert model.evidence(scores)[2] < evidence[2] - 1.0
+
+
+@pytest.mark.parametrize("shake_px", [0.0, 5.0])
+def test_ids_last_though_the_camera_shakes(shake_px: float) -> None:
+    tracker = Tracker(parameters())
+    random = np.random.default_rng(2)
+    ids: list[set[int]] = [set() for _ in range(4)]
+    for k in range(80):
+        dx, dy = shake_px * random.normal(size=2)
+        boxes = [(60.0 + 13.0 * k + dx, 80.0 + 70.0 * n + dy, 60.0, 45.0, 0.9) for n in range(4)]
+        for row in observed(tracker, k, detections(*boxes)):
+            ids[round((float(row["y"]) - dy - 80.0) / 70.0)].add(int(row["track_id"]))
+    assert [len(found) for found in ids] == [1, 1, 1, 1]
+
+
+def test_noise_grows_with_errors_and_falls_back_to_that_of_a_still_camera() -> None:
+    motion = UnsteadyMotion(MotionNoise())
+    still = motion.noise.acceleration
+    predicted = np.zeros((5, 4, 6))
+    predicted[2] = 1.0
+    for _ in range(40):
+        motion.learn(predicted, np.full((4, 6), 9.0), np.ones((4, 6)))
+    assert motion.noise.acceleration > 3.0 * still
+    for _ in range(200):
+        motion.learn(predicted, np.full((4, 6), 0.1), np.ones((4, 6)))
+    assert motion.noise.acceleration == pytest.approx(still)
