@@ -21,7 +21,12 @@ import supervision  # type: ignore[import-not-found,unused-ignore]
 
 import trackers  # type: ignore[import-not-found,unused-ignore]
 
-TRACKERS = {"ByteTrack": "ByteTrackTracker", "OC-SORT": "OCSORTTracker"}
+TRACKERS = {
+    "SORT": "SORTTracker",
+    "ByteTrack": "ByteTrackTracker",
+    "OC-SORT": "OCSORTTracker",
+    "BoT-SORT": "BoTSORTTracker",
+}
 
 
 def run(job: dict[str, Any]) -> None:
