@@ -23,7 +23,7 @@ def detections(*boxes: tuple[float, float, float, float, float]) -> NDArray[np.v
     for k, (x, y, width, height, score) in enumerate(boxes):
         left, right = max(x - width / 2, 0.0), min(x + width / 2, SIZE[0])
         rows[k] = ((left + right) / 2, y, right - left, height, score, 2)
-    return rows[rows["width"] > 8.0]
+    return np.asarray(rows[rows["width"] > 8.0])
 
 
 def observed(tracker: Tracker, k: int, rows: NDArray[np.void]) -> NDArray[np.void]:
