@@ -46,6 +46,8 @@ def note_other_classes(report: InputReport, frames: Frames) -> None:
         report: Takes the remark.
         frames: Frames of `PIXEL_TRACK_DTYPE`.
     """
+    if not len(frames.rows):
+        return
     ids, owner = np.unique(frames.rows["track_id"], return_inverse=True)
     classes, kind = np.unique(frames.rows["class_id"], return_inverse=True)
     votes = np.zeros((len(ids), len(classes)), np.int64)
