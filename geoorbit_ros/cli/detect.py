@@ -58,7 +58,7 @@ def detect(
     """
     from geoorbit_ros.cli.camera_run import open_images, warm_up_detector
     from geoorbit_ros.cli.console import console, error_console, status
-    from geoorbit_ros.detection.detector import DetectorSettings, make_detector
+    from geoorbit_ros.detection.detector import DetectorSettings, make_detector, without_effect
     from geoorbit_ros.storage.mot_text import write_mot
 
     if picture:
@@ -69,7 +69,10 @@ def detect(
         raise ParameterError("option --road-image", str(road_image), expected)
     names = parse_names(class_names)
     with status("loading"):
-        detector = make_detector(model, DetectorSettings(min_score, class_names=names))
+        settings = DetectorSettings(min_score, class_names=names)
+        detector = make_detector(model, settings)
+    if note := without_effect(detector, settings):
+        error_console.print(note, soft_wrap=True)
     run = _Run(detector, road_image)
     with open_images(source, fps, duration) as images:
         warm_up_detector(detector, images, duration)

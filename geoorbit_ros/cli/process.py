@@ -54,8 +54,8 @@ def process(
     Example: [bold]geoorbit process north.mp4 --calibration calibration.csv --out north[/bold]
     """
     from geoorbit_ros.cli.camera_run import CameraJob, open_camera, warm_up_detector
-    from geoorbit_ros.cli.console import console, print_lanes, status
-    from geoorbit_ros.detection.detector import DetectorSettings, make_detector
+    from geoorbit_ros.cli.console import console, error_console, print_lanes, status
+    from geoorbit_ros.detection.detector import DetectorSettings, make_detector, without_effect
     from geoorbit_ros.scenes.output import check_new_folder
     from geoorbit_ros.storage.atomic import atomic_output
     from geoorbit_ros.storage.mot_text import write_mot
@@ -65,6 +65,8 @@ def process(
     settings = DetectorSettings(min_score, class_names=parse_names(class_names))
     with status("loading"):
         detector = make_detector(model, settings)
+    if note := without_effect(detector, settings):
+        error_console.print(note, soft_wrap=True)
     name = camera_id or _name(source)
     job = CameraJob(name, calibration, homography, origin, detector, estimator, update_period_s)
     with open_camera(source, fps, duration) as images, atomic_output(out) as folder:

@@ -49,5 +49,9 @@ class ParameterError(GeoOrbitError):
     """A parameter outside its type or bounds."""
 
 
+class PluginError(GeoOrbitError):
+    """A plug-in failed while it ran, or returned something that can't be used."""
+
+
 class NoTrafficError(GeoOrbitError):
     """Trajectories from which no lane can be seen."""

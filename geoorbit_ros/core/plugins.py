@@ -9,13 +9,18 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import inspect
 import re
-from collections.abc import Callable
-from functools import cache
+import sys
+import traceback
+import types
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache, wraps
 from pathlib import Path
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
-from geoorbit_ros.core.errors import ParameterError
+from geoorbit_ros.core.errors import GeoOrbitError, ParameterError, PluginError
 
 FORM = "FILE.py:CLASS"
 FOLDERS = {
@@ -44,6 +49,24 @@ class TakesSettings(Protocol):
 
     def from_settings(self, settings: Any) -> Any:
         """An object with these settings, a class method."""
+
+
+class WrongResult(Exception):  # noqa: N818 - always turned into a PluginError
+    """What a method of a plug-in returned in place of what it should."""
+
+
+@dataclass(frozen=True, slots=True)
+class Returns:
+    """What a method of a plug-in must return.
+
+    Attributes:
+        expected: In words, for errors.
+        check: Takes the plug-in, the arguments and the result, and gives the result to hand on;
+            raises WrongResult.
+    """
+
+    expected: str
+    check: Callable[[Any, tuple[Any, ...], Any], Any]
 
 
 def register(kind: str, name: str) -> Callable[[Class], Class]:
@@ -95,6 +118,12 @@ def is_plugin(text: str) -> bool:
     return _PLUGIN.fullmatch(text) is not None
 
 
+def short_name(text: str) -> str:
+    """Name for files and tables: the class of a plug-in, any other name as it is."""
+    match = _PLUGIN.fullmatch(text)
+    return match["name"] if match else text
+
+
 def is_file(text: str) -> bool:
     """Whether a name means a Python file, with or without the name of the class."""
     return is_plugin(text) or text.endswith(".py")
@@ -134,6 +163,7 @@ def make(
     *,
     place: str | None = None,
     adapt: Callable[[Any], Any] = lambda made: made,
+    returns: Mapping[str, Returns] = types.MappingProxyType({}),
 ) -> Made:
     """An object of a registered class or of a plug-in.
 
@@ -144,6 +174,8 @@ def make(
         settings: For classes that are made from settings (`TakesSettings`).
         place: For errors; default: the parameter of that kind.
         adapt: Makes an object of an older protocol one of today's.
+        returns: What methods of a plug-in must return. Those of `base`, and these, raise
+            PluginError with file, line and method when they fail or return something else.
 
     Raises:
         ParameterError: No such name, file or class, or a class that fails when it is loaded or
@@ -156,7 +188,10 @@ def make(
         made = _made(_registered_class(kind, name), settings)
     else:
         place = f"{place}, {Path(match['file']).absolute()}"
-        made = _from_file(Path(match["file"]).absolute(), match["name"], settings, place)
+        file = Path(match["file"]).absolute()
+        made = _from_file(
+            file, match["name"], settings, place, lambda c: _guarded(c, file, base, returns)
+        )
     made = adapt(made)
     if not isinstance(made, base):
         lacking = [part for part in vars(base) if part[0] != "_" and part not in dir(made)]
@@ -175,16 +210,96 @@ def _made(found: type, settings: object) -> Any:
     return found.from_settings(settings) if isinstance(found, TakesSettings) else found()
 
 
-def _from_file(file: Path, name: str, settings: object, place: str) -> Any:
+def _from_file(
+    file: Path, name: str, settings: object, place: str, guard: Callable[[type], type]
+) -> Any:
     if not file.is_file():
         raise ParameterError(place, f"no file {file}", FORM)
-    spec = importlib.util.spec_from_file_location(file.stem, file)
+    # Its own name: a plug-in may be called as a library is. Dataclasses look into sys.modules.
+    module_name = f"geoorbit_plugin_{file.stem}"
+    spec = importlib.util.spec_from_file_location(module_name, file)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
+    sys.modules[module_name] = module
     try:
         spec.loader.exec_module(module)
-        return _made(getattr(module, name), settings)
+        found = getattr(module, name)
+        if not isinstance(found, type):
+            raise ParameterError(place, f"{name}, which is no class", f"a class {name}")
+        return _made(guard(found), settings)
+    except GeoOrbitError:
+        raise
     except Exception as error:  # whatever the user's file does
-        found = f"{type(error).__name__}: {error}"
-        raise ParameterError(place, found, f"a class {name} without arguments") from error
+        line = _line(file, error)
+        expected_class = f"a class {name} without arguments"
+        raise ParameterError(place + line, _in_words(error), expected_class) from error
+
+
+def _guarded(found: type, file: Path, base: type, returns: Mapping[str, Returns]) -> type:
+    """A subclass whose methods tell what went wrong in the file, and where.
+
+    Raises:
+        ParameterError: A method that takes other arguments.
+    """
+    methods = {name: part for name, part in vars(base).items() if inspect.isfunction(part)}
+    parts: dict[str, Any] = {"__module__": found.__module__, "__doc__": found.__doc__}
+    complete = set(methods) <= set(dir(found))  # else `make` says what is missing
+    for name in {*methods, *returns} & set(dir(found)):
+        own = inspect.getattr_static(found, name)
+        if name[0] != "_" and inspect.isfunction(own):
+            if name in methods and complete:
+                _check_signature(found, own, methods[name], file)
+            parts[name] = _guard(found, own, file, returns.get(name))
+    return types.new_class(found.__name__, (found,), {}, lambda body: body.update(parts))
+
+
+def _check_signature(found: type, own: Any, wanted: Any, file: Path) -> None:
+    names = list(inspect.signature(wanted).parameters)
+    try:
+        inspect.signature(own).bind(*names)
+    except TypeError:
+        place = f"{file}{_definition(file, own)}"
+        method = f"{found.__name__}.{own.__name__}{inspect.signature(own)}"
+        expected_method = f"{wanted.__name__}({', '.join(names)})"
+        raise ParameterError(place, method, expected_method) from None
+
+
+def _guard(found: type, own: Any, file: Path, returns: Returns | None) -> Callable[..., Any]:
+    """The method, which raises PluginError for a mistake."""
+    method = f"{found.__name__}.{own.__name__}"
+    wanted = returns.expected if returns else "no error"
+
+    @wraps(own)
+    def call(plugin: Any, *arguments: Any, **named: Any) -> Any:
+        try:
+            result = own(plugin, *arguments, **named)
+            return returns.check(plugin, arguments, result) if returns else result
+        except GeoOrbitError:
+            raise
+        except WrongResult as error:
+            place = f"{file}{_definition(file, own)}, {method}"
+            raise PluginError(place, error, wanted) from error
+        except Exception as error:  # whatever the user's method does
+            line = _line(file, error) or _definition(file, own)
+            raise PluginError(f"{file}{line}, {method}", _in_words(error), wanted) from error
+
+    return call
+
+
+def _line(file: Path, error: Exception) -> str:
+    """`, line 7`: where in the file an error came from, as far as that is known."""
+    frames = traceback.extract_tb(error.__traceback__)
+    lines = [frame.lineno for frame in frames if frame.filename == str(file)]
+    return f", line {lines[-1]}" if lines else ""
+
+
+def _definition(file: Path, own: Any) -> str:
+    """`, line 7`: where a method begins, if it stands in the file."""
+    code = own.__code__
+    return f", line {code.co_firstlineno}" if code.co_filename == str(file) else ""
+
+
+def _in_words(error: Exception) -> str:
+    """An exception in one line."""
+    return " ".join(f"{type(error).__name__}: {error}".split())

@@ -111,6 +111,20 @@ def first_bad_box(rows: NDArray[np.void]) -> int | None:
     return None if good.all() else int(np.argmin(good))
 
 
+def table_fault(rows: object, dtype: np.dtype[np.void]) -> str | None:
+    """What is wrong with something that should be (N,) sound boxes of a dtype; None: nothing."""
+    if not isinstance(rows, np.ndarray):
+        return "None" if rows is None else f"a {type(rows).__name__}"
+    if rows.dtype != dtype:
+        fields = rows.dtype.names
+        return f"an array with the fields {', '.join(fields)}" if fields else f"{rows.dtype} values"
+    if rows.ndim != 1:
+        return f"an array of shape {rows.shape}"
+    if (k := first_bad_box(rows)) is not None:
+        return f"row {k}: {rows[k]}, not finite or of negative size"
+    return None
+
+
 def first_repeated_id(frames: Frames) -> int | None:
     """Index of the first row whose `track_id` an earlier row of the same frame has.
 

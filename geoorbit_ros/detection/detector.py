@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import cv2
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.core import plugins
 from geoorbit_ros.core.errors import GeoOrbitError
-from geoorbit_ros.core.tables import DETECTION_DTYPE
+from geoorbit_ros.core.tables import DETECTION_DTYPE, table_fault
 
 Image = NDArray[np.uint8]
 """(H, W, 3) uint8, blue green red."""
@@ -106,7 +106,27 @@ def make_detector(model: Path | None = None, settings: DetectorSettings | None =
         settings,
         place="model",
         adapt=lambda made: _adapted(made, name),
+        returns=_returns(settings),
     )
+
+
+def _returns(settings: DetectorSettings) -> Mapping[str, plugins.Returns]:
+    """What a plug-in must return; of one that takes no settings, weak boxes are dropped."""
+
+    def check(plugin: object, _: tuple[Any, ...], rows: NDArray[np.void]) -> NDArray[np.void]:
+        if fault := table_fault(rows, DETECTION_DTYPE):
+            raise plugins.WrongResult(fault)
+        weak = rows["score"] < settings.min_score
+        return rows if isinstance(plugin, plugins.TakesSettings) else rows[~weak]
+
+    return {"detect": plugins.Returns("(N,) rows of DETECTION_DTYPE", check)}
+
+
+def without_effect(detector: Detector, settings: DetectorSettings) -> str | None:
+    """A sentence about settings that a plug-in does not take; None: there are none."""
+    if not settings.class_names or isinstance(detector, plugins.TakesSettings):
+        return None
+    return f"class names have no effect: {type(detector).__name__} has no method `from_settings`"
 
 
 @runtime_checkable

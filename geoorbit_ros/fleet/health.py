@@ -79,8 +79,7 @@ COLUMNS = (
 
 SERVICE_COLUMNS: Mapping[str, tuple[tuple[str, str], ...]] = {
     "federated_server": (
-        ("round {}", "round"),
-        ("of {}", "rounds"),
+        ("{}", "progress"),
         ("{} asked", "selected"),
         ("{} answered", "collected"),
         ("loss {}", "loss"),

@@ -21,7 +21,12 @@ from sensor_msgs.msg import CompressedImage, Image, PointCloud2
 from geoorbit_ros.conversions import encode_table, pixel_polygon
 from geoorbit_ros.core.errors import GeoOrbitError, MessageError
 from geoorbit_ros.core.frame_order import Arrival, FrameOrder
-from geoorbit_ros.detection.detector import Detector, DetectorSettings, make_detector
+from geoorbit_ros.detection.detector import (
+    Detector,
+    DetectorSettings,
+    make_detector,
+    without_effect,
+)
 from geoorbit_ros.detection.road_segments import Contour, RoadSegments
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.nodes.support.process import run_node
@@ -107,17 +112,18 @@ class DetectorNode(GeoOrbitNode[DetectorParameters]):
 
     def _make(self) -> Detector:
         p = self.p
-        return make_detector(
-            Path(p.model) if p.model else None,
-            DetectorSettings(
-                p.min_score,
-                p.max_iou,
-                p.any_class,
-                _words(p.class_names),
-                _words(p.providers),
-                p.threads,
-            ),
+        settings = DetectorSettings(
+            p.min_score,
+            p.max_iou,
+            p.any_class,
+            _words(p.class_names),
+            _words(p.providers),
+            p.threads,
         )
+        detector = make_detector(Path(p.model) if p.model else None, settings)
+        if note := without_effect(detector, settings):
+            self.get_logger().warning(note)
+        return detector
 
     def _on_image(self, stamp_ns: int, frame_id: str, image: NDArray[np.uint8]) -> None:
         rows = self._detector.detect(stamp_ns, image)

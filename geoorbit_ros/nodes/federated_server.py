@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
 from rclpy.clock import Clock, ClockType
 from std_msgs.msg import String
 
+from geoorbit_ros.core.errors import PluginError
 from geoorbit_ros.federated.errors import FederationError
 from geoorbit_ros.federated.keys import Roster, Signer, read_private_key
 from geoorbit_ros.federated.payloads.header import schema_of
@@ -112,9 +113,15 @@ class FederatedServerNode(GeoOrbitNode[FederatedServerParameters]):
         updates = updates_qos(self.p.reliability)
         subscribe_payloads(self, "/federated/client_update", updates, self._on_update)
         self.create_timer(PERIOD_S, self._on_time, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._fault = ""
+        self.diagnostics.add_check(lambda: self._fault or None)
         self._send(self.server.start(time.monotonic()))
         resumed = "resumed at" if self.server.resumed else "starts with"
-        self.get_logger().info(f"{resumed} round {self.server.round} of {self.p.rounds}")
+        if self.server.round > self.p.rounds:
+            began = f"resumed after all {self.p.rounds} rounds"
+        else:
+            began = f"{resumed} round {self.server.round} of {self.p.rounds}"
+        self.get_logger().info(f"{began}, strategy {self.p.strategy}")
 
     def diagnostic_values(self) -> Mapping[str, object]:
         """Where training is."""
@@ -124,10 +131,20 @@ class FederatedServerNode(GeoOrbitNode[FederatedServerParameters]):
         return server_facts(self.server) | {"sent_bytes": self._models.sent_bytes}
 
     def _on_update(self, payload: bytes) -> None:
-        self._send(self.server.receive(payload, time.monotonic()))
+        self._go_on(lambda now_s: self.server.receive(payload, now_s))
 
     def _on_time(self) -> None:
-        self._send(self.server.tick(time.monotonic()))
+        self._go_on(self.server.tick)
+
+    def _go_on(self, step: Callable[[float], bytes | None]) -> None:
+        """Send what a step gives; after a mistake of the strategy, training stands still."""
+        if self._fault:
+            return
+        try:
+            self._send(step(time.monotonic()))
+        except PluginError as error:
+            self._fault = f"training stopped: {error}"
+            self.get_logger().error(self._fault)
 
     def _send(self, payload: bytes | None) -> None:
         if payload is None:

@@ -29,7 +29,7 @@ from geoorbit_ros.conversions import (
     movement_of,
     path_headings,
 )
-from geoorbit_ros.core.errors import MessageError
+from geoorbit_ros.core.errors import MessageError, PluginError
 from geoorbit_ros.core.lanes import Lane, LaneMap
 from geoorbit_ros.core.tables import TRACK_DTYPE
 from geoorbit_ros.federated.keys import Verifier, public_key
@@ -100,6 +100,7 @@ class LaneGeometryNode(GeoOrbitNode[LaneGeometryParameters]):
         self.create_subscription(NavSatFix, "datum", self._on_datum, LATCHED)
         subscribe_payloads(self, "lane_parameters", LATCHED, self._on_theta)
         self.create_service(Trigger, "~/update", self._on_update)
+        self.get_logger().info(f"lanes are estimated by {p.estimator}")
 
     def on_parameters(self, changed: LaneGeometryParameters) -> None:
         """New parameters θ hold from the next update on, until others come."""
@@ -152,7 +153,12 @@ class LaneGeometryNode(GeoOrbitNode[LaneGeometryParameters]):
         response.success = self.frames > 0
         response.message = "no frames received yet"
         if self.frames:
-            lane_map = self._mapper.finish()
+            try:
+                lane_map = self._mapper.finish()
+            except PluginError as error:
+                self.diagnostics.refuse(error)
+                response.success, response.message = False, str(error)
+                return response
             self._publish(lane_map)
             response.message = f"{len(lane_map.lanes)} lanes from {self.frames} frames"
         return response

@@ -8,7 +8,7 @@ arXiv:2203.14360, section 4.1).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol, Self, runtime_checkable
+from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from geoorbit_ros.core.tables import (
     FLAG_PREDICTED,
     FLAG_TRUNCATED,
     PIXEL_TRACK_DTYPE,
+    table_fault,
 )
 from geoorbit_ros.tracking.association import (
     LEAVE_COST,
@@ -144,7 +145,14 @@ def make_tracker(
         name,
         VehicleTracker,  # type: ignore[type-abstract]
         parameters or TrackerParameters(),
+        returns={"update": plugins.Returns("(N,) rows of PIXEL_TRACK_DTYPE", _check_tracks)},
     )
+
+
+def _check_tracks(_: object, __: tuple[Any, ...], rows: NDArray[np.void]) -> NDArray[np.void]:
+    if fault := table_fault(rows, PIXEL_TRACK_DTYPE):
+        raise plugins.WrongResult(fault)
+    return rows
 
 
 @plugins.register("tracker", "kalman")

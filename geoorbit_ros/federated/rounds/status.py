@@ -12,10 +12,13 @@ from geoorbit_ros.federated.rounds.server import FederatedServer
 def server_facts(server: FederatedServer) -> dict[str, object]:
     """Round, clients heard, refusals by reason, last loss and verdict: one word or number each."""
     last = next((record for record in reversed(server.history) if record.updates), None)
+    rounds = server.config.rounds
+    over = server.round > rounds
     return {
         "run": server.run,
+        "progress": f"all {rounds} rounds done" if over else f"round {server.round} of {rounds}",
         "round": server.round,
-        "rounds": server.config.rounds,
+        "rounds": rounds,
         "finished": server.finished,
         "selected": len(server.selected),
         "collected": server.collected,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,7 +114,38 @@ def make_strategy(name: str, settings: StrategySettings | None = None) -> Strate
         FederationError: A setting is out of range.
         ParameterError: No strategy has this name, or the file has no such class.
     """
-    return plugins.make("strategy", name, Strategy, settings or StrategySettings())
+    vector = "a vector of finite numbers, as long as the model"
+    returns = {
+        "step": plugins.Returns(vector, _check_step),
+        "combine": plugins.Returns(vector, _check_combined),
+        "weight": plugins.Returns("a finite number, at least 0", _check_weight),
+    }
+    settings = settings or StrategySettings()
+    return plugins.make("strategy", name, Strategy, settings, returns=returns)
+
+
+def _check_step(_: object, given: tuple[Any, ...], change: object) -> Aggregate:
+    return _vector(change, len(given[0]))
+
+
+def _check_combined(_: object, given: tuple[Any, ...], combined: object) -> Aggregate:
+    return _vector(combined, given[0].shape[1])
+
+
+def _vector(found: object, size: int) -> Aggregate:
+    if not isinstance(found, np.ndarray):
+        raise plugins.WrongResult("None" if found is None else f"a {type(found).__name__}")
+    if found.shape != (size,):
+        raise plugins.WrongResult(f"an array of shape {found.shape}, not ({size},)")
+    if not (np.issubdtype(found.dtype, np.floating) and np.isfinite(found).all()):
+        raise plugins.WrongResult(f"{found.dtype} values that are not all finite numbers")
+    return found
+
+
+def _check_weight(_: object, __: tuple[Any, ...], weight: object) -> float:
+    if not isinstance(weight, int | float | np.number) or not 0.0 <= float(weight) < np.inf:
+        raise plugins.WrongResult(repr(weight))
+    return float(weight)
 
 
 def check_range(name: str, value: float, low: float, high: float) -> float:

@@ -10,6 +10,11 @@ from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.detection.detector import make_detector
 
 PLUGIN = """
+import numpy as np
+
+from geoorbit_ros.core.tables import DETECTION_DTYPE
+
+
 class Own:
     name = "own"
     seen = 0
@@ -18,7 +23,9 @@ class Own:
         Own.seen = len(list(images))
 
     def detect(self, stamp_ns, image):
-        return (stamp_ns, Own.seen)
+        rows = np.ones(1, DETECTION_DTYPE)
+        rows["x"], rows["y"] = stamp_ns, Own.seen
+        return rows
 """
 IMAGE = np.zeros((4, 4, 3), np.uint8)
 
@@ -33,7 +40,7 @@ def test_a_plugin_with_warm_up_is_used_as_it_is(tmp_path: Path) -> None:
         warnings.simplefilter("error")
         detector = make_detector(plugin(tmp_path, "warm_up"))
     detector.warm_up([(1, IMAGE), (2, IMAGE)])
-    assert tuple(detector.detect(5, IMAGE)) == (5, 2)
+    assert detector.detect(5, IMAGE)[["x", "y"]].tolist() == [(5, 2)]
 
 
 def test_the_old_name_works_with_a_warning(tmp_path: Path) -> None:
@@ -41,7 +48,7 @@ def test_the_old_name_works_with_a_warning(tmp_path: Path) -> None:
         detector = make_detector(plugin(tmp_path, "prime"))
     detector.warm_up([(1, IMAGE)])
     assert detector.name == "own"
-    assert tuple(detector.detect(5, IMAGE)) == (5, 1)
+    assert detector.detect(5, IMAGE)[["x", "y"]].tolist() == [(5, 1)]
 
 
 def test_a_plugin_with_neither_is_refused(tmp_path: Path) -> None:
