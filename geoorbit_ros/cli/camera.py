@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from geoorbit_ros.cli.inputs import CalibrationOption
+from geoorbit_ros.cli.inputs import CalibrationOption, ModelOption, SourceArgument
 
 if TYPE_CHECKING:
     from geoorbit_ros.calibration.plane import Homography
@@ -20,10 +20,7 @@ CALIBRATION_IMAGE = "calibration.png"
 
 @app.command("add")
 def add(
-    source: Annotated[
-        str,
-        typer.Argument(help="Video file, address of a stream, folder of images, or scene:NAME."),
-    ],
+    source: SourceArgument,
     calibration: CalibrationOption,
     camera_id: Annotated[str, typer.Option("--camera-id", help="Its name: letters, digits, _.")],
     fleet: Annotated[
@@ -32,10 +29,7 @@ def add(
     out: Annotated[
         Path, typer.Option("--out", help="Folder for image, lanes and report; must not exist.")
     ],
-    model: Annotated[
-        Path | None,
-        typer.Option("--model", help="YOLO model in an ONNX file. Without it: whatever moves."),
-    ] = None,
+    model: ModelOption = None,
     duration: Annotated[
         float, typer.Option("--duration", min=1.0, metavar="SECONDS", help="How long to watch.")
     ] = 60.0,

@@ -71,12 +71,11 @@ def track(
     if out.exists() and detections.exists() and out.samefile(detections):
         raise ParameterError("option --out", f"{out}, the input", "another path")
     with status(f"reading {detections}"):
-        table = read_mot_detections(detections)
-    boxes = _write(out, table, fps, tracker)
-    counts = tracker.counts
+        boxes = _write(out, read_mot_detections(detections), fps, tracker)
+    seen = tracker.counts
     console.print(
-        f" {counts.detections} detections in {counts.frames} frames became {counts.births} tracks "
-        f"with {boxes} boxes; {counts.weak} were too weak."
+        f" {seen.detections} detections in {seen.frames} frames became {seen.births} tracks with "
+        f"{boxes} boxes; {seen.weak} were too weak."
     )
     console.print(f" Wrote {out}", soft_wrap=True)
 

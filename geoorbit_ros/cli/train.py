@@ -77,13 +77,10 @@ def train(
         strategy=strategy,
         encoding=encoding,
     )
-    modes: list[Mode] = [m.value for m in mode or list(ModeName)]
-    _train(study, names, modes, range(seeds), settings)
-    console.print(
-        f" Wrote {out}; next: geoorbit evaluate --out {out} "
-        f"(in a clone: ./dev run evaluate --out {out})",
-        soft_wrap=True,
-    )
+    _train(study, names, [m.value for m in mode or list(ModeName)], range(seeds), settings)
+    then = f"evaluate --out {out}"
+    hint = f"next: geoorbit {then} (in a clone: ./dev run {then})"
+    console.print(f" Wrote {out}; {hint}", soft_wrap=True)
 
 
 def _train(

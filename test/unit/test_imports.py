@@ -282,3 +282,18 @@ def test_the_rule_for_nodes_catches_arithmetic(statement: str) -> None:
 )
 def test_the_rule_for_nodes_allows_handing_arrays_on(statement: str) -> None:
     assert list(array_arithmetic(ast.parse(statement))) == []
+
+
+MAX_FUNCTION_LINES = 60
+"""A function reads on one screen. Options of a command and its help count, too."""
+
+
+def test_functions_read_on_one_screen() -> None:
+    long = []
+    for path in sorted(ROOT.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                lines = (node.end_lineno or 0) - node.lineno + 1
+                if lines >= MAX_FUNCTION_LINES:
+                    long.append(f"{path}:{node.lineno}: {node.name} has {lines} lines")
+    assert long == []

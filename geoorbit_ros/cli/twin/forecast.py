@@ -74,8 +74,7 @@ def forecast(
             run.close()
         _write(folder, start, network, forecasts)
     _print(forecasts)
-    flows = ", ".join(f"{edge} {flow:.0f}" for edge, flow in demand.edge_flow_per_h.items())
-    say(f"Seen in {demand.time_s:.0f} s, vehicles per hour: {flows}.")
+    say(_seen(demand))
     for one in forecasts:
         say(
             f"{one.scenario.capitalize()} ({one.changes}): {one.left_per_h:.0f} vehicles per hour "
@@ -128,6 +127,12 @@ def _write(
     text = json.dumps(values, indent=2, allow_nan=False)
     (folder / "forecast.json").write_text(text + "\n", encoding="utf-8")
     save_forecast_figure(folder / "forecast.png", network, forecasts)
+
+
+def _seen(demand: Demand) -> str:
+    """The flows that the forecast goes on with, in one sentence."""
+    flows = ", ".join(f"{edge} {flow:.0f}" for edge, flow in demand.edge_flow_per_h.items())
+    return f"Seen in {demand.time_s:.0f} s, vehicles per hour: {flows}."
 
 
 def _print(forecasts: list[Forecast]) -> None:
