@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from geoorbit_ros.core.plugins import check_name, expected, registered
+from geoorbit_ros.core.plugins import check_name, expected, is_plugin, registered, short_name
 
 if TYPE_CHECKING:
     from geoorbit_ros.learning.study import Study
@@ -31,7 +31,7 @@ def train(
     estimator: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="NAME", help=f"{' or '.join(registered('estimator'))}; repeat it. Default: all."
+            metavar="NAME", help=f"{expected('estimator')}; repeat it. Default: all built-in ones."
         ),
     ] = None,
     mode: Annotated[
@@ -96,7 +96,7 @@ def _train(
         with shown_progress() as progress:
             models = train_study(study, name, modes, seeds, settings, progress)
         for (kind, seed), model in models.items():
-            table.add_row(name, kind, str(seed), *_model_row(model))
+            table.add_row(short_name(name), kind, str(seed), *_model_row(model))
     console.print(table)
 
 
@@ -104,12 +104,19 @@ def _checked(estimators: list[str] | None, strategy: str, encoding: str) -> list
     """Names of the estimators to train for.
 
     Raises:
-        ParameterError: A name that isn't registered.
+        ParameterError: A name that isn't registered, or a plug-in that can't be used.
     """
+    from geoorbit_ros.federated.strategies.strategy import make_strategy
+    from geoorbit_ros.lanes.estimators.estimator import make_estimator
+
     names = estimators or list(registered("estimator"))
     for name in names:
         check_name("estimator", name)
+        if is_plugin(name):
+            make_estimator(name)
     check_name("strategy", strategy)
+    if is_plugin(strategy):
+        make_strategy(strategy)
     check_name("encoding", encoding)
     return names
 
@@ -139,7 +146,6 @@ def evaluate(
     """
     from geoorbit_ros.cli.console import console, make_table, shown_progress
     from geoorbit_ros.core.errors import InputFileError
-    from geoorbit_ros.core.plugins import registered
     from geoorbit_ros.learning import study_report as study_tables
     from geoorbit_ros.learning.evaluation import evaluate as measure
     from geoorbit_ros.learning.study import open_study
@@ -147,13 +153,14 @@ def evaluate(
 
     study = open_study(out, workers=workers)
     folder = out / "evaluation"
-    trained = [name for name in registered("estimator") if (out / name).is_dir()]
+    trained = study.estimators()
     if not trained:
         raise InputFileError(str(out), "no trained model", "geoorbit train first")
     tables = {}
-    for name in trained:
+    for estimator in trained:
+        name = short_name(estimator)
         with shown_progress() as progress:
-            rows = measure(study, name, progress)
+            rows = measure(study, estimator, progress)
         tables[f"losses-{name}"] = study_tables.loss_table(rows, name)
         tables[f"errors-{name}"] = study_tables.error_table(rows, name)
         tables[f"recordings-{name}"] = study_tables.recording_table(rows, name)

@@ -88,7 +88,7 @@ def evaluate(study: Study, estimator: str, progress: Progress = quiet) -> list[M
     """
     seeds = study.trained_seeds(estimator)
     if not seeds:
-        raise InputFileError(str(study.folder / estimator), "no model", "geoorbit train first")
+        raise InputFileError(str(study.folder), f"no model of {estimator}", "geoorbit train first")
     rows = []
     for draw in range(study.population.draws):
         drawn = [seed for seed in seeds if seed % study.population.draws == draw]

@@ -17,6 +17,7 @@ from geoorbit_ros.calibration.control_points import read_control_points
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.core.errors import InputFileError
 from geoorbit_ros.core.lanes import Lane
+from geoorbit_ros.core.plugins import is_plugin, plugin_file, short_name
 from geoorbit_ros.core.polylines import project
 from geoorbit_ros.core.tables import Frames
 from geoorbit_ros.lanes.pipeline import project_frames
@@ -168,16 +169,24 @@ def best_parameters(
 ) -> dict[str, SearchResult]:
     """Theta* of each camera against its supervision, kept in `folder`."""
     settings = {"population": POPULATION, "generations": GENERATIONS, "stay": STAY, "seed": seed}
-    path = folder / f"best-{estimator}.json"
+    path = folder / f"best-{_kept_name(estimator)}.json"
     known = _read_results(path, settings)
     missing = [camera for camera in cameras if camera.path.name not in known]
     jobs = [(CameraFile(camera.path, estimator, "supervision"), seed) for camera in missing]
     found = spread(search_job, jobs, workers)
-    what = f"searching the best parameters ({estimator})"
+    what = f"searching the best parameters ({short_name(estimator)})"
     for camera, result in zip(missing, watched(found, len(jobs), what, progress), strict=True):
         known[camera.path.name] = result
         _write_results(path, settings, known)
     return {camera.camera_id: known[camera.path.name] for camera in cameras}
+
+
+def _kept_name(estimator: str) -> str:
+    """Name for files; that of a plug-in changes with the content of its file."""
+    if not is_plugin(estimator):
+        return estimator
+    digest = hashlib.sha256(Path(plugin_file(estimator)).read_bytes()).hexdigest()[:8]
+    return f"{short_name(estimator)}-{digest}"
 
 
 def examples_of(

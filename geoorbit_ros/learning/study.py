@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import InputFileError
+from geoorbit_ros.core.plugins import is_plugin, plugin_file, registered, short_name
 from geoorbit_ros.learning.local_training import Examples
 from geoorbit_ros.learning.loss_table import LossTable
 from geoorbit_ros.learning.meta_learner import MetaLearner, save_model
@@ -38,6 +39,8 @@ from geoorbit_ros.storage.atomic import atomic_output
 
 CAMERAS, POPULATION_FILE = "cameras", "population.yaml"
 """Names in a study's folder."""
+PLUGIN_FILE = "plugin.txt"
+"""In a plug-in's folder, which has the name of its class: `FILE.py:CLASS`."""
 OLD_POPULATION_FILE = "fleet.yaml"
 """The name in folders that were made before 0.1.0."""
 
@@ -59,12 +62,37 @@ class Study:
 
     def model_path(self, estimator: str, mode: Mode, seed: int) -> Path:
         """Where a trained model is."""
-        return self.folder / estimator / f"{mode}-{seed}.npz"
+        return self.folder / short_name(estimator) / f"{mode}-{seed}.npz"
 
     def models(self, estimator: str, mode: Mode) -> list[Path]:
         """The trained models of an estimator and mode, one per seed."""
-        found = (self.folder / estimator).glob(f"{mode}-*.npz")
+        found = (self.folder / short_name(estimator)).glob(f"{mode}-*.npz")
         return sorted(found, key=seed_of)
+
+    def estimators(self) -> list[str]:
+        """Estimators with a folder here: registered names, then plug-ins as `FILE.py:CLASS`."""
+        names = [name for name in registered("estimator") if (self.folder / name).is_dir()]
+        kept = sorted(self.folder.glob(f"*/{PLUGIN_FILE}"))
+        return [*names, *(path.read_text(encoding="utf-8").strip() for path in kept)]
+
+    def add_estimator(self, estimator: str) -> None:
+        """Note where a plug-in is, for `estimators`.
+
+        Raises:
+            InputFileError: The folder of its name belongs to something else.
+        """
+        if not is_plugin(estimator):
+            return
+        name = short_name(estimator)
+        kept = self.folder / name / PLUGIN_FILE
+        own = f"{Path(plugin_file(estimator)).absolute()}:{name}"
+        found = kept.read_text(encoding="utf-8").strip() if kept.exists() else own
+        taken = kept.parent.exists() and not kept.exists()
+        if taken or name in registered("estimator") or found != own:
+            what = f"a folder of {found}" if found != own else f"a name that is taken, {name}"
+            raise InputFileError(str(kept.parent), what, "a class with a name of its own")
+        with atomic_output(kept) as path:
+            path.write_text(own + "\n", encoding="utf-8")
 
     def cameras(self, seed: int = 0, progress: Progress = quiet) -> list[PopulationCamera]:
         """The cameras that training with this seed is about, made where they are not there yet."""
@@ -117,8 +145,10 @@ def train_study(
     from which it has learned nothing (`federated.rounds.verdict`).
 
     Raises:
-        InputFileError: No seen camera on which a lane can be found.
+        InputFileError: No seen camera on which a lane can be found, or a plug-in whose name is
+            taken.
     """
+    study.add_estimator(estimator)
     models: dict[tuple[Mode, int], TrainedModel] = {}
     for draw in range(min(study.population.draws, len(seeds))):
         drawn = [seed for seed in seeds if seed % study.population.draws == draw]
@@ -159,7 +189,7 @@ def _train_draw(
     for mode in modes:
         for seed in seeds:
             chosen = replace(settings, seed=seed)
-            what = f"training {mode} {seed} ({estimator})"
+            what = f"training {mode} {seed} ({short_name(estimator)})"
             progress(what, 0.0)
 
             def show(entry: Round, what: str = what) -> None:

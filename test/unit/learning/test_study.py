@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -58,6 +59,30 @@ def test_evaluate_writes_tables_and_figures(study: Path) -> None:
     for mode in ("central", "federated"):
         figure = study / "evaluation" / f"loss-{mode}-curvilinear.png"
         assert figure.read_bytes()[:4] == b"\x89PNG"
+
+
+def test_a_plugin_has_a_folder_of_its_class_name_and_is_evaluated(
+    study: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, home = tmp_path / "out", tmp_path / "mine"
+    shutil.copytree(study, out)
+    home.mkdir()
+    base = "from geoorbit_ros.lanes.estimators.geolane import GeoLaneEstimator\n"
+    for name in ("one.py", "two.py"):
+        (home / name).write_text(base + "class Wide(GeoLaneEstimator): ...\n")
+    words = ["train", str(out / "population.yaml"), "--out", str(out), "--rounds", "1"]
+    words += ["--mode", "central", "--workers", "1", "--estimator"]
+    assert main([*words, f"{home}/one.py:Wide"]) == 0
+    assert load_model(out / "Wide" / "central-0.npz")
+    assert {path.name for path in home.iterdir()} <= {"one.py", "two.py", "__pycache__"}
+    assert main(["evaluate", "--out", str(out), "--workers", "1"]) == 0
+    assert (out / "evaluation" / "losses-Wide.csv").exists()
+    capsys.readouterr()
+    assert main([*words, f"{home}/two.py:Wide"]) == EXIT_BAD_INPUT
+    assert "one.py:Wide" in capsys.readouterr().err
+    (home / "two.py").write_text("class Wide: ...\n")
+    assert main([*words, f"{home}/two.py:Wide"]) == EXIT_BAD_INPUT
+    assert "Wide without add, lanes" in capsys.readouterr().err
 
 
 def test_bad_input_is_one_sentence_and_exit_code_two(
