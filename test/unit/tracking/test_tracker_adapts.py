@@ -23,12 +23,14 @@ def detections(*boxes: tuple[float, float, float, float, float]) -> NDArray[np.v
     for k, (x, y, width, height, score) in enumerate(boxes):
         left, right = max(x - width / 2, 0.0), min(x + width / 2, SIZE[0])
         rows[k] = ((left + right) / 2, y, right - left, height, score, 2)
-    return np.asarray(rows[rows["width"] > 8.0])
+    visible: NDArray[np.void] = rows[rows["width"] > 8.0]
+    return visible
 
 
 def observed(tracker: Tracker, k: int, rows: NDArray[np.void]) -> NDArray[np.void]:
     found = tracker.update(k * STEP_NS + 1, rows)
-    return found[(found["flags"] & FLAG_PREDICTED) == 0]
+    seen: NDArray[np.void] = found[(found["flags"] & FLAG_PREDICTED) == 0]
+    return seen
 
 
 def parameters() -> TrackerParameters:
