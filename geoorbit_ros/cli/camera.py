@@ -69,7 +69,7 @@ def add(
         job.find_lanes(images, duration)
         job.write(folder)
     print_lanes(job.lane_map, f"Lanes of {camera_id} after {duration:g} s")
-    add_camera(fleet, _entry(job, source, model, fleet), fleet.stem)
+    add_camera(fleet, _entry(job, source, model, fleet))
     say(f"Look at {out / CALIBRATION_IMAGE} and {out / REPORT}.")
     console.print(
         f" Camera {camera_id} is in {fleet}. To run it: geoorbit up {fleet} "

@@ -47,7 +47,9 @@ def _add_overrides(schema: dict[str, Any]) -> None:
     schema |= {"properties": nodes, "additionalProperties": False}
 
 
-Identifier = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
+IDENTIFIER = r"^[A-Za-z][A-Za-z0-9_]*$"
+"""What ROS 2 takes in a namespace (REP-144 for names, design article on topic names)."""
+Identifier = Annotated[str, Field(pattern=IDENTIFIER)]
 """What a ROS namespace can be called."""
 Value = bool | int | float | str
 Overrides = Annotated[
@@ -294,15 +296,15 @@ def load_fleet(path: str | Path) -> tuple[Fleet, Path]:
     return read_yaml(file, Fleet, "fleet"), file
 
 
-def add_camera(file: Path, entry: Mapping[str, object], fleet_name: str = "fleet") -> Fleet:
+def add_camera(file: Path, entry: Mapping[str, object]) -> Fleet:
     """Add an entry after the last camera of a fleet file, or write a new file.
 
-    Comments and order of the file stay. The result is read back before it replaces the file.
+    Comments and order of the file stay. The result is read back before it replaces the file. A new
+    fleet is named after its file.
 
     Args:
         file: The fleet file.
         entry: The camera's keys and values; paths relative to the file.
-        fleet_name: Of a new file.
 
     Raises:
         InputFileError: The file is no fleet file, already has this camera, or would be wrong with
@@ -312,18 +314,22 @@ def add_camera(file: Path, entry: Mapping[str, object], fleet_name: str = "fleet
     if file.exists():
         text = _inserted(file.read_text(encoding="utf-8").rstrip("\n") + "\n", entry)
     else:
-        text = f"name: {fleet_name}\ncameras:\n{_item(entry, '  ')}"
+        text = f"name: {_fleet_name(file)}\ncameras:\n{_item(entry, '  ')}"
     with atomic_output(file) as path:
         path.write_text(text, encoding="utf-8")
         return load_fleet(path)[0]
 
 
 def check_new_camera(file: Path, camera_id: str) -> None:
-    """Refuse a camera that a fleet file has already; a file that isn't there has none.
+    """Refuse a camera whose id can't be, or that a fleet file has already.
 
     Raises:
-        InputFileError: It has, or is no fleet file.
+        ParameterError: Such an id.
+        InputFileError: The file has it, or is no fleet file; one that isn't there has none.
     """
+    if not re.match(IDENTIFIER, camera_id):
+        expected = "a letter, then letters, digits or underscores, as in ROS 2 names"
+        raise ParameterError("option --camera-id", repr(camera_id), expected)
     if file.exists() and camera_id in [camera.id for camera in load_fleet(file)[0].cameras]:
         raise InputFileError(str(file), f"camera '{camera_id}' is there already", "another id")
 
@@ -331,6 +337,12 @@ def check_new_camera(file: Path, camera_id: str) -> None:
 def relative(path: Path, file: Path) -> str:
     """A path as a fleet file names it."""
     return os.path.relpath(path.absolute(), file.absolute().parent)
+
+
+def _fleet_name(file: Path) -> str:
+    """A file's name as a name that ROS 2 takes."""
+    name = re.sub(r"\W", "_", file.stem, flags=re.ASCII)
+    return name if re.match(IDENTIFIER, name) else f"fleet_{name}"
 
 
 def _inserted(text: str, entry: Mapping[str, object]) -> str:

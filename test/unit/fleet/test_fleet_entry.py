@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from geoorbit_ros.core.errors import InputFileError
-from geoorbit_ros.fleet.fleet_file import add_camera, relative
+from geoorbit_ros.core.errors import InputFileError, ParameterError
+from geoorbit_ros.fleet.fleet_file import add_camera, check_new_camera, relative
 
 ENTRY = {"id": "north", "source": "scene:lane_drop", "image_size": [640, 360]}
 
@@ -30,9 +30,25 @@ def test_the_new_camera_comes_last_and_every_line_stays(tmp_path: Path, text: st
     assert all(line in lines for line in text.splitlines()), "in their order"
 
 
-def test_a_missing_file_is_made(tmp_path: Path) -> None:
-    fleet = add_camera(tmp_path / "new.yaml", ENTRY, "motorway")
-    assert (fleet.name, [camera.id for camera in fleet.cameras]) == ("motorway", ["north"])
+@pytest.mark.parametrize(
+    ("file", "name"),
+    [
+        ("motorway.yaml", "motorway"),
+        ("my-fleet.yaml", "my_fleet"),
+        ("12 north.yaml", "fleet_12_north"),
+    ],
+)
+def test_a_missing_file_is_made_and_names_the_fleet(tmp_path: Path, file: str, name: str) -> None:
+    fleet = add_camera(tmp_path / file, ENTRY)
+    assert (fleet.name, [camera.id for camera in fleet.cameras]) == (name, ["north"])
+
+
+@pytest.mark.parametrize("camera_id", ["no-name", "1st", "", "north east", "é"])
+def test_an_id_that_ros_does_not_take_is_refused_before_any_work(
+    tmp_path: Path, camera_id: str
+) -> None:
+    with pytest.raises(ParameterError, match="--camera-id"):
+        check_new_camera(tmp_path / "fleet.yaml", camera_id)
 
 
 def test_a_camera_that_is_there_already_is_refused(tmp_path: Path) -> None:
@@ -47,8 +63,8 @@ def test_a_camera_that_is_there_already_is_refused(tmp_path: Path) -> None:
 def test_a_wrong_entry_leaves_the_file_as_it_was(tmp_path: Path) -> None:
     file = tmp_path / "fleet.yaml"
     file.write_text(FILES["comments"])
-    with pytest.raises(InputFileError, match="no-name"):
-        add_camera(file, {**ENTRY, "id": "no-name"})
+    with pytest.raises(InputFileError, match="nowhere"):
+        add_camera(file, {**ENTRY, "source": "scene:nowhere", "nowhere": 1})
     assert file.read_text() == FILES["comments"]
     assert list(tmp_path.iterdir()) == [file]
 
