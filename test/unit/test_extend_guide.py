@@ -11,6 +11,8 @@ from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.core.tables import DETECTION_DTYPE
 from geoorbit_ros.detection.detector import make_detector
 from geoorbit_ros.federated.strategies.strategy import make_strategy
+from geoorbit_ros.fleet.fleet_file import load_fleet
+from geoorbit_ros.fleet.plan import chosen_plugins, plan_fleet
 from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.lanes.geojson import read_lanes
 from geoorbit_ros.parameters import load_schema
@@ -18,14 +20,15 @@ from geoorbit_ros.tracking.tracker import make_tracker
 
 ROOT = Path(__file__).parents[2]
 GUIDE = (ROOT / "docs" / "guide-extend.md").read_text(encoding="utf-8")
-DEMO = ROOT / "bags" / "demo"
 
 
 @pytest.fixture
 def written(tmp_path: Path) -> Path:
     """A folder with the files of the guide."""
     blocks = re.findall(r"```python\n# (\w+\.py)\n(.*?)```", GUIDE, re.DOTALL)
-    assert [name for name, _ in blocks] == ["red.py", "large.py", "wide.py", "cautious.py"]
+    assert [name for name, _ in blocks] == [
+        *("red.py", "large.py", "single.py", "wide.py", "cautious.py"),
+    ]
     for name, text in blocks:
         (tmp_path / name).write_text(text, encoding="utf-8")
     return tmp_path
@@ -50,14 +53,36 @@ def test_the_tracker_follows_large_boxes_only(written: Path) -> None:
     assert float(track["x"]) == 300.0
 
 
-def test_the_estimator_runs_from_the_command_line(written: Path) -> None:
-    words = ["lanes", "--bag", str(DEMO / "bag"), "--calibration", str(DEMO / "calibration.csv")]
-    own = ["--estimator", f"{written}/wide.py:Wide", "--out", str(written / "wide.geojson")]
-    assert main([*words, "--out", str(written / "all.geojson")]) == 0
-    assert main([*words, *own]) == 0
-    every, wide = (read_lanes(written / f"{name}.geojson").lanes for name in ("all", "wide"))
+def test_the_estimators_show_what_the_guide_says_on_its_recording(written: Path) -> None:
+    data = written / "data"
+    scene = "scene run on_ramp_merge --duration 60 --seed 1 --out"
+    assert scene in GUIDE
+    assert main([*scene.split(), str(data)]) == 0
+    words = ["lanes", "--tracks", f"{data}/tracks.csv", "--calibration", f"{data}/calibration.csv"]
+    found = {}
+    for name in ("curvilinear", "wide.py:Wide", "single.py:Single"):
+        own = f"{written}/{name}" if ".py" in name else name
+        out = written / f"{name[:6]}.geojson"
+        assert main([*words, "--estimator", own, "--out", str(out)]) == 0
+        found[name] = read_lanes(out).lanes
+    every, wide, single = found.values()
+    assert (len(every), len(wide), len(single)) == (4, 2, 1)
     assert {lane.lane_id for lane in wide} <= {lane.lane_id for lane in every}
-    assert all(lane.width_m > 3.3 for lane in wide)
+    assert all(lane.width_m > 3.72 for lane in wide)
+
+
+def test_the_fleet_of_the_guide_loads_its_plugins(written: Path) -> None:
+    (block,) = re.findall(r"```yaml\n(.*?)```", GUIDE, re.DOTALL)
+    fleet = written / "fleet.yaml"
+    fleet.write_text(block, encoding="utf-8")
+    (written / "out/plugin-film").mkdir(parents=True)
+    for name in ("video.mp4", "calibration.csv"):
+        (written / "out/plugin-film" / name).touch()
+    assert main(["up", str(fleet), "--dry-run"]) == 0
+    content, _ = load_fleet(fleet)
+    plans = plan_fleet(content, fleet.parent, fleet.parent / "out")
+    kinds = sorted(kind for _, kind, _ in chosen_plugins(plans))
+    assert kinds == ["detector", "estimator", "estimator", "strategy", "tracker"]
 
 
 def test_the_strategy_takes_half_a_step(written: Path) -> None:
