@@ -279,7 +279,7 @@ def _guard(found: type, own: Any, file: Path, returns: Returns | None) -> Callab
             raise
         except WrongResult as error:
             place = f"{file}{_definition(file, own)}, {method}"
-            raise PluginError(place, error, wanted) from error
+            raise PluginError(place, str(error), wanted) from error
         except Exception as error:  # whatever the user's method does
             line = _line(file, error) or _definition(file, own)
             raise PluginError(f"{file}{line}, {method}", _in_words(error), wanted) from error

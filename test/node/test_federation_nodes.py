@@ -292,3 +292,26 @@ def test_work_that_a_killed_process_takes_with_it_is_done_once_more(
     nodes.wait(lambda: server.server.round > 1, LIMIT_S, "a round")
     assert client.diagnostics.refused == 1
     assert "a process that was killed" in str(client.diagnostics.last_refusal)
+
+
+def test_a_mistake_of_the_strategy_stops_training_and_is_reported_with_its_line(
+    nodes: Composition, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(camera_session, "learn_from_camera", learned)
+    own, roster = tmp_path / "own.py", tmp_path / "roster.txt"
+    own.write_text(
+        "from geoorbit_ros.federated.strategies.strategy import Strategy\n"
+        "class Own(Strategy):\n    def step(self, aggregate):\n        return aggregate[1:]\n"
+    )
+    roster.write_text("north\n")
+    given = {"roster": str(roster), "rounds": 2, "strategy": f"{own}:Own"}
+    server = nodes.make(FederatedServerNode, "/", given)
+    client = nodes.make(MetaClientNode, "north", LOSSLESS | {"observation_s": 1.0})
+    client.session._executor = AtOnce()
+    client.session.refer(made_up_reference(), -10.0)
+    for stamp_ns, rows in made_up_tracks(1.0):
+        client.session.add(stamp_ns, rows.astype(TRACK_DTYPE))
+    nodes.wait(lambda: bool(server._fault), LIMIT_S, "the fault")
+    assert f"training stopped: {own}, line 3, Own.step: found an array of shape" in server._fault
+    assert [check() for check in server.diagnostics._checks] == [server._fault]
+    assert (server.server.round, len(server.server.history)) == (1, 1)

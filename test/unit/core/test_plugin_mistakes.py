@@ -1,5 +1,6 @@
 """A mistake of a plug-in while it runs is one sentence: file, line, method, what it should."""
 
+import pickle
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -8,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from geoorbit_ros.cli.main import main
 from geoorbit_ros.core.errors import GeoOrbitError, ParameterError, PluginError
 from geoorbit_ros.core.lanes import Lane, LaneMap
 from geoorbit_ros.core.tables import DETECTION_DTYPE, PIXEL_TRACK_DTYPE
@@ -151,6 +153,26 @@ def test_a_wrong_signature_is_refused_when_the_file_is_loaded(
     assert wrong in str(error.value)
     assert str(error.value).endswith(right)
     assert "own.py, line 6" in str(error.value)
+
+
+def test_a_command_ends_with_the_sentence_and_status_2(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    name = write(tmp_path, TRACKER, "return None")
+    boxes, out = tmp_path / "det.txt", tmp_path / "tracks.txt"
+    boxes.write_text("1,-1,10,10,20,20,0.9,2,-1,-1\n", encoding="utf-8")
+    words = ["track", "--detections", str(boxes), "--fps", "10", "--tracker", name]
+    assert main([*words, "--out", str(out)]) == 2
+    error = capsys.readouterr().err
+    assert "own.py, line 6, Own.update: found None, expected (N,) rows of PIXEL_TRACK_" in error
+    assert not out.exists()
+
+
+def test_the_error_survives_the_way_from_a_worker(tmp_path: Path) -> None:
+    with pytest.raises(PluginError) as error:
+        strategy(write(tmp_path, STRATEGY, "return None"))
+    again = pickle.loads(pickle.dumps(error.value))
+    assert (type(again), str(again)) == (PluginError, str(error.value))
 
 
 def test_right_results_and_errors_on_purpose_pass(tmp_path: Path) -> None:
