@@ -141,7 +141,7 @@ class BagPlayerNode(GeoOrbitNode[BagPlayerParameters]):
 
     def close(self) -> None:
         """Give reliable subscribers time to take the last messages."""
-        topics = self.topics.values() if self.finished and self.context.ok() else ()
+        topics = self.topics.values() if self.finished and not self.told_to_end else ()
         if not all(topic.wait_for_all_acked(ACKNOWLEDGE_TIMEOUT) for topic in topics):
             self.get_logger().warning("the last messages were not acknowledged within 10 s")
 

@@ -190,7 +190,7 @@ class CameraNode(GeoOrbitNode[CameraParameters]):
         """End both threads; one that is inside a system call ends with it."""
         self._feed.stop()
         self._sender.stop()
-        if not self.finished or not self.context.ok():  # told to end: there is no time to wait
+        if not self.finished or self.told_to_end:
             return
         if not self.images.wait_for_all_acked(ACKNOWLEDGE_TIMEOUT):
             self.get_logger().warning("the last images were not acknowledged within 5 s")

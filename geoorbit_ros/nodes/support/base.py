@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any, Generic, TypeVar
 
 from rclpy.context import Context
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
@@ -36,6 +37,7 @@ class GeoOrbitNode(Node, Generic[Struct]):
         name: Name of the node and of its schema.
         struct: Frozen dataclass of the parameters.
         done: Set by a node whose process may end.
+        told_to_end: Set by a signal: what is being waited for is not worth the wait any more.
 
     Raises:
         GeoOrbitError: A parameter, or a file that one names, can't be used.
@@ -55,7 +57,7 @@ class GeoOrbitNode(Node, Generic[Struct]):
         super().__init__(
             self.name, context=context, namespace=namespace, parameter_overrides=values
         )
-        self.done = False
+        self.done = self.told_to_end = False
         try:
             self._checked = NodeParameters(self, self.struct, self.name, self.on_parameters)
             self.diagnostics = Diagnostics(self, self.diagnostic_values)
@@ -93,6 +95,7 @@ class GeoOrbitNode(Node, Generic[Struct]):
 
         Raises:
             MessageError: Readers that stay behind for half a minute.
+            ExternalShutdownException: The process was told to end while readers were behind.
         """
         deadline = time.monotonic() + PUBLISH_TIMEOUT_S
         while True:
@@ -102,6 +105,8 @@ class GeoOrbitNode(Node, Generic[Struct]):
             except RuntimeError as error:  # rclpy's RCLError: the history is full
                 if not self.context.ok() or "cannot publish data" not in str(error):
                     raise
+                if self.told_to_end:
+                    raise ExternalShutdownException from error
                 if time.monotonic() > deadline:
                     found = f"readers behind for {PUBLISH_TIMEOUT_S:g} s"
                     raise MessageError(publisher.topic, found, "readers that keep up") from error

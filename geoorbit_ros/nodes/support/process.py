@@ -12,6 +12,7 @@ from typing import Any
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
 
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
@@ -52,32 +53,27 @@ def run_nodes(
     args: Sequence[str] | None = None,
 ) -> int:
     """As `run_node`, for several nodes on one executor, while `goes_on` says so of them."""
+    nodes: list[GeoOrbitNode[Any]] = []
     received: list[int] = []
 
-    def told_to_end() -> bool:
-        return bool(received)  # where a function begins, Python runs the handlers that are due
+    def note(number: int, _: object) -> None:
+        received.append(number)
+        for node in nodes:
+            node.told_to_end = True
+
+    def go_on() -> bool:
+        return not received and goes_on(nodes)
 
     for number in SIGNALS:
-        # rclpy's handler ends the context, then calls this one. Python's own would raise
-        # KeyboardInterrupt, also inside the clean-up of the C++ executor, which then aborts: a
-        # Ctrl-C under `ros2 launch` reaches a node twice.
-        signal.signal(number, lambda received_number, _: received.append(received_number))
+        signal.signal(number, note)
     try:
         with ExitStack() as stack:
-            _spin(stack, makers, lambda nodes: not told_to_end() and goes_on(nodes), args)
+            _spin(stack, makers, nodes, go_on, args)
     except ExternalShutdownException:
         return 0
-    except Exception as error:
-        # Told to end while a node is being made or taken down, its context is gone and anything
-        # may fail.
-        if told_to_end():
-            reason = next(iter(str(error).splitlines()), "")
-            print(f"told to end; {type(error).__name__}: {reason}", file=sys.stderr)
-            return 0
-        if isinstance(error, GeoOrbitError):
-            print(error, file=sys.stderr)
-            return 2
-        raise
+    except GeoOrbitError as error:
+        print(error, file=sys.stderr)
+        return 2
     finally:
         for number in SIGNALS:  # while it ends, Python puts back the default, which is to kill
             signal.signal(number, signal.SIG_IGN)
@@ -87,23 +83,31 @@ def run_nodes(
 def _spin(
     stack: ExitStack,
     makers: Sequence[Callable[[], GeoOrbitNode[Any]]],
-    goes_on: Callable[[Sequence[GeoOrbitNode[Any]]], bool],
+    nodes: list[GeoOrbitNode[Any]],
+    go_on: Callable[[], bool],
     args: Sequence[str] | None,
 ) -> None:
-    """Make the nodes and spin them; `stack` takes them down, the last one first."""
-    nodes: list[GeoOrbitNode[Any]] = []
+    """Make the nodes and spin them; `stack` takes them down, the last one first.
+
+    Signals only set a flag, which this looks at between two callbacks. rclpy's own handler would
+    end the context at once, also in the middle of a callback or while a node is made, and what
+    uses the context then fails or aborts the process.
+    """
     stack.callback(rclpy.try_shutdown)
-    rclpy.init(args=None if args is None else list(args))
+    rclpy.init(
+        args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO
+    )
     executor = make_executor()
     for make in makers:
-        node = make()
+        nodes.append(node := make())
         stack.callback(node.destroy_node)
         stack.callback(node.close)
-        nodes.append(node)
         executor.add_node(node)
+        if not go_on():
+            return
     # What lives from here on stays: the collector need not look through it in the middle of a
     # frame, which takes tens of milliseconds with all that is imported.
     gc.collect()
     gc.freeze()
-    while rclpy.ok() and goes_on(nodes):
+    while go_on():
         executor.spin_once(timeout_sec=SPIN_TIMEOUT_S)
