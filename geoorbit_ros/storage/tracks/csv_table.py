@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import InputFileError, ParameterError
 from geoorbit_ros.core.input_report import Treatment
-from geoorbit_ros.storage.tracks.csv_text import CsvText, decode, read_csv_text
+from geoorbit_ros.storage.tracks.csv_text import CsvText, decode, first_line, read_csv_text
 from geoorbit_ros.storage.tracks.raw_tracks import Array, RawTracks
 from geoorbit_ros.storage.tracks.times import parse_times
 
@@ -60,8 +60,11 @@ class CsvTable:
             text = decode(head, str(path), self.expected)
         except InputFileError:
             return False
-        line = next((s for s in text.splitlines() if s.strip() and not s.startswith("#")), "")
-        cells = re.split(r"[,;\t]", line)
+        header, _, _, body = first_line(text)
+        cells = re.split(r"[,;\t]", header)
+        if len(cells) == 1:  # values between blanks: as many in the next line
+            cells = header.split()
+            cells = cells if len(cells) == len(first_line(body)[0].split()) else []
         words = [cell for cell in cells if re.search(r"[A-Za-z]", cell)]
         return len(cells) > 1 and 2 * len(words) > len(cells)
 

@@ -31,6 +31,10 @@ _MARKS = (
 )
 _NUMBER = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$"
 _DECIMAL_COMMA = r"^[+-]?\d*,\d+$"
+_EXCEL_LINE = re.compile(r"sep=.?", re.IGNORECASE)
+"""A first line that tells Excel the delimiter and is no header."""
+_BLANKS = re.compile(r"(?<=\S)[ \t]+(?=\S)")
+"""Between values of a line without any other delimiter."""
 _NEWLINE, _RETURN = 10, 13
 
 
@@ -72,7 +76,7 @@ def as_numbers(text: pa.Array) -> NDArray[np.float64]:
 
 
 def decode(data: bytes, place: str, expected: str) -> str:
-    """Text of a file in UTF-8 or UTF-16.
+    """Text of a file in UTF-8 or UTF-16, with line feeds as line ends.
 
     Raises:
         InputFileError: Empty, or no text.
@@ -85,13 +89,34 @@ def decode(data: bytes, place: str, expected: str) -> str:
     elif encoding == "utf-8" and data[:1] == b"\0":
         encoding = "utf-16-be"
     text = data.decode(encoding, errors="replace")
+    if "\r" in text:
+        text = text.replace("\r\n", "\n").replace("\r", "\n")
     if "\0" in text[:4096] or text[:4096].count("�") > 0.05 * len(text[:4096]):
         raise InputFileError(place, "binary data", expected)
     return text
 
 
-def read_csv_text(path: Path, expected: str) -> CsvText:
-    """All columns of a CSV file with a header.
+@dataclass(frozen=True, slots=True)
+class CsvBody:
+    """A CSV file as text, taken apart.
+
+    Attributes:
+        names: As the header has them, without blanks around them.
+        delimiter: Between the values of a line.
+        body: All lines below the header, with line feeds.
+        header_line: The header's line number, from 1.
+        comments: Lines above the header that begin with `#`.
+    """
+
+    names: tuple[str, ...]
+    delimiter: str
+    body: str
+    header_line: int
+    comments: tuple[str, ...]
+
+
+def split_header(path: Path, expected: str) -> CsvBody:
+    """Read a text file of any encoding and find its header.
 
     Args:
         path: The file.
@@ -108,21 +133,56 @@ def read_csv_text(path: Path, expected: str) -> CsvText:
     except OSError as error:
         raise InputFileError(place, error.strerror or str(error), expected) from None
     text = decode(data, place, expected)
-    header_line, header = next(
-        (k, line)
-        for k, line in enumerate(text.splitlines(), 1)
-        if line.strip() and not line.lstrip().startswith("#")
-    )
-    delimiter = max(DELIMITERS, key=header.count)
-    names = [name.strip() for name in next(csv.reader([header], delimiter=delimiter))]
-    body = text.split("\n", header_line)[-1] if text.count("\n") >= header_line else ""
+    header, header_line, comments, body = first_line(text)
     if not body.strip():
         raise InputFileError(place, "no row below the header", "at least one row")
+    delimiter = max(DELIMITERS, key=header.count)
+    if delimiter not in header and len(header.split()) > 1:
+        header, body = _BLANKS.sub(";", header), _BLANKS.sub(";", body)
+        delimiter = ";"
+    names = tuple(name.strip() for name in next(csv.reader([header], delimiter=delimiter)))
+    return CsvBody(names, delimiter, body, header_line, comments)
+
+
+def first_line(text: str) -> tuple[str, int, tuple[str, ...], str]:
+    """The first line that is neither blank, a comment nor Excel's `sep=`.
+
+    Args:
+        text: Lines ended by line feeds.
+
+    Returns:
+        The line, empty for none; its number, from 1; the comments above it; all below it.
+    """
+    comments = []
+    at = number = 0
+    while at < len(text):
+        end = text.find("\n", at)
+        end = len(text) if end < 0 else end
+        line, at, number = text[at:end].strip(), end + 1, number + 1
+        if line.startswith("#"):
+            comments.append(line)
+        elif line and not _EXCEL_LINE.fullmatch(line):
+            return line, number, tuple(comments), text[at:]
+    return "", number, tuple(comments), ""
+
+
+def read_csv_text(path: Path, expected: str) -> CsvText:
+    """All columns of a CSV file with a header.
+
+    Args:
+        path: The file.
+        expected: What it should be, for errors.
+
+    Raises:
+        InputFileError: No file, no text, or no row below the header.
+    """
+    found = split_header(path, expected)
+    names, delimiter, body = found.names, found.delimiter, found.body
     first = next(line for line in body.splitlines() if line.strip())
     if first.count(delimiter) == len(names) and first.rstrip().endswith(delimiter):
         body = re.sub(rf"{re.escape(delimiter)}[ \t]*(?=\r?$)", "", body, flags=re.MULTILINE)
-    report = InputReport(place, "boxes")
-    return _table(body, tuple(names), delimiter, header_line, report)
+    report = InputReport(str(path), "boxes")
+    return _table(body, names, delimiter, found.header_line, report)
 
 
 def _table(
@@ -141,7 +201,9 @@ def _table(
     table = pacsv.read_csv(
         io.BytesIO(data),
         read_options=pacsv.ReadOptions(column_names=unique, use_threads=False),
-        parse_options=pacsv.ParseOptions(delimiter=delimiter, invalid_row_handler=skip),
+        parse_options=pacsv.ParseOptions(
+            delimiter=delimiter, invalid_row_handler=skip, newlines_in_values='"' in body
+        ),
         convert_options=pacsv.ConvertOptions(
             column_types=dict.fromkeys(unique, pa.string()), strings_can_be_null=False
         ),
@@ -154,6 +216,8 @@ def _table(
     keep = np.ones(len(lines), dtype=np.bool_)
     keep[[abs(number) - 1 for number in bad]] = False
     line = lines[keep] + header_line
+    if len(line) != len(columns[0]):  # line breaks inside quotes: rows are counted instead
+        line = np.arange(1, len(columns[0]) + 1) + header_line
     wrong = [number for number in bad if number > 0]
     blank = np.ones(len(line), dtype=np.bool_)
     for column in columns:

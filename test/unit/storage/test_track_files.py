@@ -106,6 +106,12 @@ SPELLINGS: dict[str, str | bytes] = {
     "units in the header": each(
         lambda d: list(d.values()), "id,time [s],frame_num,class,conf,x (px),y (px),w (px),h (px)"
     ),
+    "a line for Excel above the header": "sep=,\n" + csv(made_rows()),
+    "blanks between the values": csv(made_rows()).replace(",", "  "),
+    "line ends of old Macs": csv(made_rows()).replace("\n", "\r"),
+    "a comment of two lines in quotes": each(
+        lambda d: [*d.values(), '"seen\nat noon"'], HEADER + ",remark"
+    ),
     "ids as floats": each(lambda d: [f"{d['id']:.1f}", *list(d.values())[1:]]),
     "no frame numbers": each(
         lambda d: [v for k, v in d.items() if k != "frame_num"], "id,time,class,conf,x,y,w,h"
