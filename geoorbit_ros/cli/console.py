@@ -129,15 +129,18 @@ _STYLE = {"confirmed": "green", "tentative": "yellow"}
 
 
 def print_lanes(lane_map: LaneMap, title: str = "Lanes") -> None:
-    """Print one row per lane, and what traffic tentative lanes still need."""
+    """Print one row per lane, from left to right, and what traffic tentative lanes still need."""
+    from geoorbit_ros.core.lane_order import lane_numbers, left_to_right
     from geoorbit_ros.report.text import compass, missing_sentence, number, summary_sentence
 
     table = make_table(
-        title, ">lane|status|direction|>width m|>vehicles|>confidence|>length m|>± m"
+        title, ">lane|>number|status|direction|>width m|>vehicles|>confidence|>length m|>± m"
     )
-    for lane in lane_map.lanes:
+    numbers = lane_numbers(lane_map.lanes)
+    for lane in left_to_right(lane_map.lanes):
         table.add_row(
             str(lane.lane_id),
+            str(numbers[lane.lane_id]),
             f"[{_STYLE[lane.status]}]{lane.status}[/]",
             f"{compass(lane.heading_deg):>2} {lane.heading_deg:3.0f}°",
             f"{number(lane.width_m)} ± {number(lane.width_sigma_m)}",

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import os
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from geoorbit_ros.storage.database.reader import TrajectoryReader
 
 app = typer.Typer(
     help="Look into the trajectory database that the recorder writes; export it.",
@@ -54,26 +59,42 @@ def export(
     end: Annotated[
         str | None, typer.Option("--to", metavar="TIME", help="Up to here, not included.")
     ] = None,
+    timezone: Annotated[
+        str | None,
+        typer.Option(metavar="ZONE", help="Of local_time, as Europe/Berlin; default: this one's."),
+    ] = None,
 ) -> None:
     """Write stored vehicle tracks to CSV or Parquet, also while the recorder goes on.
 
     One row per vehicle and frame: camera_id, stamp_ns, track_id, position and speed in the map
-    frame (x_m, y_m east and north of the datum), heading, size, score, error.
+    frame (x_m, y_m east and north of the datum), heading, size, score, error, local_time. Where a
+    lane map is stored, also latitude_deg, longitude_deg, lane_id, and lane_number, counted from the
+    outer edge of the road.
 
     Example: [bold]geoorbit db export trajectories.db --out may.parquet --from 2026-05-01
     --to 2026-06-01[/bold]
     """
-    from geoorbit_ros.cli.console import format_size, make_progress, parse_time
+    from geoorbit_ros.cli.console import format_size, make_progress, parse_time, say
+    from geoorbit_ros.lanes.lanes_over_time import LanesOverTime
     from geoorbit_ros.storage.database.export import export_tracks
     from geoorbit_ros.storage.database.reader import TrajectoryReader
 
     start_ns = None if start is None else parse_time(start, "option --from")
     end_ns = None if end is None else parse_time(end, "option --to")
+    zone = _zone(timezone)
     with TrajectoryReader(database) as reader, make_progress() as progress:
         whole = start_ns is None and end_ns is None
         wanted = [c for c in reader.cameras() if not camera_id or c.camera_id in camera_id]
         total = sum(c.rows for c in wanted) if whole else None  # unknown for a part of the time
         task = progress.add_task(f"writing {out.name}", total=total)
+        maps = {
+            camera.camera_id: LanesOverTime(
+                reader.lane_map_stamps(camera.camera_id),
+                partial(_stored_map, reader, camera.camera_id),
+                f"{database}, lane map of {camera.camera_id}",
+            )
+            for camera in wanted
+        }
         rows = export_tracks(
             reader,
             out,
@@ -81,5 +102,40 @@ def export(
             start_ns,
             end_ns,
             lambda done: progress.update(task, completed=done),
+            lambda camera, frames: maps[camera].describe(frames),
+            zone,
         )
+    without = [camera_id for camera_id, found in maps.items() if not found]
+    if without:
+        say(f"No lane map is stored of {', '.join(without)}: lane and position on Earth are empty.")
     typer.echo(f"{out}: {rows} rows, {format_size(out.stat().st_size)}")
+
+
+def _stored_map(reader: TrajectoryReader, camera_id: str, stamp_ns: int) -> str:
+    return reader.lane_maps(camera_id, stamp_ns, stamp_ns + 1)[0][1]
+
+
+def _zone(given: str | None) -> str:
+    """IANA name of a time zone; by default that of this machine, UTC where it has none.
+
+    Raises:
+        ParameterError: No such zone.
+    """
+    from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
+
+    from geoorbit_ros.core.errors import ParameterError
+
+    if given is None:
+        link = os.environ.get("TZ") or str(Path("/etc/localtime").resolve())
+        name = link.lstrip(":").rpartition("zoneinfo/")[2]
+    else:
+        name = given
+    try:
+        ZoneInfo(name)
+    except (ZoneInfoNotFoundError, ValueError, OSError):
+        if given is None:
+            return "UTC"
+        raise ParameterError(
+            "option --timezone", f"'{given}'", "a name such as Europe/Berlin"
+        ) from None
+    return name

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from geoorbit_ros import __version__
 from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.core.lane_order import lane_numbers
 from geoorbit_ros.core.lanes import Lane, LaneMap
 from geoorbit_ros.lanes.geojson_reader import (
     Collection,
@@ -61,6 +62,7 @@ def lanes_to_geojson(
         camera_id: Recorded in the `geoorbit` member.
         estimator: Recorded in the `geoorbit` member.
     """
+    numbers = lane_numbers(lane_map.lanes)
     return {
         "type": "FeatureCollection",
         "geoorbit": {
@@ -81,7 +83,11 @@ def lanes_to_geojson(
                 for section in lane_map.cross_sections
             ],
         },
-        "features": [feature for lane in lane_map.lanes for feature in _lane_features(lane, datum)],
+        "features": [
+            feature
+            for lane in lane_map.lanes
+            for feature in _lane_features(lane, numbers[lane.lane_id], datum)
+        ],
     }
 
 
@@ -150,8 +156,9 @@ def read_lanes(path: Path | str, datum: Datum | None = None) -> LaneMap:
     return read_lane_file(path, datum).lane_map
 
 
-def _lane_features(lane: Lane, datum: Datum) -> Iterator[dict[str, Any]]:
+def _lane_features(lane: Lane, lane_number: int, datum: Datum) -> Iterator[dict[str, Any]]:
     properties = {
+        "lane_number": lane_number,
         "status": lane.status,
         "confidence": _rounded(lane.confidence, 4),
         "width_m": _rounded(lane.width_m, 3),

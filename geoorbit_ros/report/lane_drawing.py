@@ -23,6 +23,8 @@ COLOURS = 6
 """In `page.css`, `d0` to `d5`."""
 CHEVRON_EVERY_PX = 110.0
 """Between travel arrows. Layout of the drawing."""
+BADGE_PX = 26.0
+"""Least distance of two lane numbers: they are 20 pixels wide. Layout of the drawing."""
 
 
 def direction_groups(lanes: Sequence[Lane]) -> dict[int, int]:
@@ -88,6 +90,7 @@ def draw_lanes(
     for lane in lanes:
         css = f"d{colour[lane.lane_id]} {lane.status}"
         canvas.line(to_pixel(lane.centerline_m), f"centerline {css}")
+    badges: list[NDArray[np.float64]] = []
     for lane, fraction in _label_places(lanes, colour):
         css = f"d{colour[lane.lane_id]} {lane.status}"
         line = _dense(to_pixel(_dense(lane.centerline_m, 400)), 400)
@@ -96,12 +99,13 @@ def draw_lanes(
         if len(line) < 3:
             continue
         arc = np.append(0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T)))
-        at = fraction * arc[-1]
+        at = _free_place(line, arc, fraction * arc[-1], badges)
         for s in np.arange(CHEVRON_EVERY_PX / 2, arc[-1], CHEVRON_EVERY_PX):
             if abs(s - at) > 18.0:
                 k = min(int(np.searchsorted(arc, s)), len(line) - 1)
                 canvas.chevron(line[k], line[k] - line[max(k - 1, 0)], css)
         k = int(np.searchsorted(arc, at))
+        badges.append(line[k])
         canvas.badge(line[k], str(lane.lane_id), css, lane_tip(lane))
 
 
@@ -127,6 +131,22 @@ def _label_places(lanes: Sequence[Lane], colour: dict[int, int]) -> list[tuple[L
         shares = np.linspace(0.32, 0.68, len(members)) if len(members) > 1 else [0.5]
         places += [(lane, float(f)) for lane, f in zip(members, shares, strict=True)]
     return places
+
+
+def _free_place(
+    line: NDArray[np.float64],
+    arc: NDArray[np.float64],
+    wanted: float,
+    taken: Sequence[NDArray[np.float64]],
+) -> float:
+    """The arc length nearest to the wanted one that keeps clear of the numbers drawn so far."""
+    apart = np.full(len(line), np.inf)
+    for other in taken:
+        apart = np.minimum(apart, np.hypot(*(line - other).T))
+    free = np.flatnonzero(apart >= BADGE_PX)
+    if not len(free):
+        return float(arc[int(np.argmax(apart))])
+    return float(arc[free[int(np.argmin(np.abs(arc[free] - wanted)))]])
 
 
 def _dense(line: NDArray[np.float64], count: int) -> NDArray[np.float64]:

@@ -8,6 +8,7 @@ from html import escape
 import numpy as np
 
 from geoorbit_ros.calibration.homography import Homography
+from geoorbit_ros.core.lane_order import lane_numbers, left_to_right
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.metrics.lane_score import LaneScore
 from geoorbit_ros.report.lane_drawing import direction_groups
@@ -31,11 +32,12 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def lane_table(lanes: Sequence[Lane]) -> str:
-    """One row per lane: what it is and how sure."""
-    colour = direction_groups(lanes)
+    """One row per lane, by direction and from left to right: what it is and how sure."""
+    colour, numbers = direction_groups(lanes), lane_numbers(lanes)
     return table(
         (
             "Lane",
+            ">Number",
             "Status",
             "Direction",
             ">Width, m",
@@ -47,6 +49,7 @@ def lane_table(lanes: Sequence[Lane]) -> str:
         (
             (
                 f'<span class="chip d{colour[lane.lane_id]} {lane.status}">{lane.lane_id}</span>',
+                str(numbers[lane.lane_id]),
                 lane.status,
                 _direction(lane.heading_deg),
                 f"{number(lane.width_m)} ± {number(lane.width_sigma_m)}",
@@ -55,7 +58,7 @@ def lane_table(lanes: Sequence[Lane]) -> str:
                 number(lane.length_m, 0),
                 number(lane.sigma_m),
             )
-            for lane in lanes
+            for lane in left_to_right(lanes)
         ),
     )
 

@@ -5,14 +5,17 @@ One row per vehicle and frame, ordered by camera and time; a stable interface: `
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.core.tables import Frames
@@ -34,6 +37,14 @@ COLUMNS = {
 }
 """Exported column and `TRACK_DTYPE` field, after `camera_id`, `stamp_ns` and `track_id`."""
 
+PLACE_COLUMNS = {
+    "latitude_deg": pa.float64(),
+    "longitude_deg": pa.float64(),
+    "lane_id": pa.int32(),
+    "lane_number": pa.int32(),
+}
+"""Exported columns that a lane map is needed for, at the end; empty where there is none."""
+
 _INTEGERS = {"class_id": pa.int32(), "flags": pa.uint32()}
 SCHEMA = pa.schema(
     [
@@ -41,10 +52,16 @@ SCHEMA = pa.schema(
         ("stamp_ns", pa.int64()),
         ("track_id", pa.int32()),
         *((name, _INTEGERS.get(name, pa.float32())) for name in COLUMNS),
+        ("local_time", pa.string()),
+        *PLACE_COLUMNS.items(),
     ]
 )
 _ROW_GROUP = 128_000
 """Rows written at once. Chosen: about 7 MB, and large enough for Parquet to compress well."""
+
+
+Describe = Callable[[str, Frames], Mapping[str, NDArray[np.float64]]]
+"""Camera id and frames to the `PLACE_COLUMNS` (N,) of their rows, NaN where not known."""
 
 
 class _TableWriter(AbstractContextManager["_TableWriter"], Protocol):
@@ -58,6 +75,8 @@ def export_tracks(
     start_ns: int | None = None,
     end_ns: int | None = None,
     progress: Callable[[int], None] | None = None,
+    describe: Describe | None = None,
+    timezone: str = "UTC",
 ) -> int:
     """Write the frames with start_ns <= stamp < end_ns to a new file; all of it or none.
 
@@ -69,6 +88,8 @@ def export_tracks(
         start_ns: Default: the beginning.
         end_ns: Default: the end.
         progress: Called with the number of rows written so far.
+        describe: Where on Earth and in which lane rows are; default: empty columns.
+        timezone: IANA name of the zone of `local_time` (ISO 8601, milliseconds, with offset).
 
     Returns:
         Number of rows.
@@ -90,7 +111,11 @@ def export_tracks(
     rows = 0
     with atomic_output(out) as temporary, make(temporary) as writer:
         for camera_id in cameras:
-            for table in _tables(camera_id, database.batches(camera_id, start_ns, end_ns)):
+            batches = (
+                _record_batch(camera_id, frames, describe, timezone)
+                for frames in database.batches(camera_id, start_ns, end_ns)
+            )
+            for table in _tables(batches):
                 writer.write_table(table)
                 rows += table.num_rows
                 if progress is not None:
@@ -98,11 +123,11 @@ def export_tracks(
     return rows
 
 
-def _tables(camera_id: str, batches: Iterator[Frames]) -> Iterator[pa.Table]:
+def _tables(batches: Iterable[pa.RecordBatch]) -> Iterator[pa.Table]:
     """Batches gathered to tables of about `_ROW_GROUP` rows."""
     waiting: list[pa.RecordBatch] = []
-    for frames in batches:
-        waiting.append(_record_batch(camera_id, frames))
+    for batch in batches:
+        waiting.append(batch)
         if sum(batch.num_rows for batch in waiting) >= _ROW_GROUP:
             yield pa.Table.from_batches(waiting, SCHEMA).combine_chunks()
             waiting = []
@@ -110,12 +135,26 @@ def _tables(camera_id: str, batches: Iterator[Frames]) -> Iterator[pa.Table]:
         yield pa.Table.from_batches(waiting, SCHEMA).combine_chunks()
 
 
-def _record_batch(camera_id: str, frames: Frames) -> pa.RecordBatch:
+def _record_batch(
+    camera_id: str, frames: Frames, describe: Describe | None, timezone: str
+) -> pa.RecordBatch:
     rows = frames.rows
+    stamps = frames.row_stamp_ns()
+    unknown = np.full(len(rows), np.nan)
+    places = describe(camera_id, frames) if describe else dict.fromkeys(PLACE_COLUMNS, unknown)
     columns = [
         pa.repeat(pa.scalar(camera_id), len(rows)),
-        pa.array(frames.row_stamp_ns()),
+        pa.array(stamps),
         pa.array(rows["track_id"]),
         *(pa.array(rows[source], from_pandas=True) for source in COLUMNS.values()),
+        _local_time(stamps, timezone),
+        *(pa.array(places[k], from_pandas=True).cast(kind) for k, kind in PLACE_COLUMNS.items()),
     ]
     return pa.record_batch(columns, schema=SCHEMA)
+
+
+def _local_time(stamps_ns: NDArray[np.int64], timezone: str) -> pa.Array:
+    """ISO 8601 texts such as 2026-05-01T08:00:00.040+02:00."""
+    moments = pa.array(stamps_ns // 1_000_000, pa.timestamp("ms", timezone))
+    text = pc.strftime(moments, "%Y-%m-%dT%H:%M:%S%z")
+    return pc.replace_substring_regex(text, r"(\d\d)$", r":\1")

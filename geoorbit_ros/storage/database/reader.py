@@ -112,6 +112,15 @@ class TrajectoryReader:
             )
             return [(stamp_ns, zlib.decompress(packed).decode()) for stamp_ns, packed in found]
 
+    def lane_map_stamps(self, camera_id: str) -> list[int]:
+        """Stamps of the stored lane maps, increasing."""
+        key = self._key(camera_id)
+        with self._lock, faults_as_sentences(self.path):
+            found = self._connection.execute(
+                "SELECT stamp_ns FROM lane_map WHERE camera = ? ORDER BY stamp_ns", (key,)
+            )
+            return [stamp_ns for (stamp_ns,) in found]
+
     def cameras(self) -> tuple[CameraContent, ...]:
         """What is committed, by camera id."""
         with self._lock, faults_as_sentences(self.path):

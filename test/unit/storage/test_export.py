@@ -10,10 +10,11 @@ import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 import pytest
 from made_frames import steady_frames
+from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import InputFileError, ParameterError
 from geoorbit_ros.core.tables import TRACK_DTYPE, Frames
-from geoorbit_ros.storage.database.export import COLUMNS, SCHEMA, export_tracks
+from geoorbit_ros.storage.database.export import COLUMNS, PLACE_COLUMNS, SCHEMA, export_tracks
 from geoorbit_ros.storage.database.writer import TrajectoryDatabase, TrajectoryReader
 
 START_NS = 1_700_000_000_123_456_789
@@ -129,3 +130,35 @@ def test_memory_does_not_grow_with_the_database(tmp_path: Path) -> None:
         )
         peak_kb.append(int(done.stdout))
     assert peak_kb[1] - peak_kb[0] < 40_000
+
+
+def test_local_times_are_those_of_the_zone(tmp_path: Path, database: Path) -> None:
+    start_ns = int(FRAMES.stamp_ns[0])
+    texts = {}
+    for zone in ("UTC", "Europe/Berlin", "America/Chicago"):
+        out = tmp_path / f"{zone.replace('/', '_')}.csv"
+        with TrajectoryReader(database) as reader:
+            export_tracks(reader, out, ["b"], start_ns, start_ns + 1, timezone=zone)
+        texts[zone] = read(out)["local_time"][0].as_py()
+    assert texts == {
+        "UTC": "2023-11-14T22:13:20.123+00:00",
+        "Europe/Berlin": "2023-11-14T23:13:20.123+01:00",
+        "America/Chicago": "2023-11-14T16:13:20.123-06:00",
+    }
+
+
+def test_what_a_lane_map_says_is_exported(tmp_path: Path, database: Path) -> None:
+    def describe(camera_id: str, frames: Frames) -> dict[str, NDArray[np.float64]]:
+        assert camera_id == "b"
+        known = np.where(frames.rows["track_id"] % 2, 1.0, np.nan)
+        return dict(zip(PLACE_COLUMNS, (48.0 * known, 11.0 * known, 3 * known, known), strict=True))
+
+    out = tmp_path / "tracks.csv"
+    with TrajectoryReader(database) as reader:
+        export_tracks(reader, out, ["b"], describe=describe)
+    table = read(out)
+    odd = table.filter(pa.compute.equal(pa.compute.bit_wise_and(table["track_id"], 1), 1))
+    assert 0 < len(odd) < len(table)
+    for name, value in zip(PLACE_COLUMNS, (48.0, 11.0, 3, 1), strict=True):
+        assert odd[name].unique().to_pylist() == [value]
+        assert table[name].null_count == len(table) - len(odd)
