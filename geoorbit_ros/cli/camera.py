@@ -7,9 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from geoorbit_ros.cli.inputs import CalibrationOption, ModelOption, SourceArgument
+from geoorbit_ros.cli.inputs import CalibrationOption, DatumOption, ModelOption, SourceArgument
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from geoorbit_ros.calibration.plane import Homography
     from geoorbit_ros.cli.camera_run import CameraJob
 
@@ -26,13 +29,15 @@ def add(
     fleet: Annotated[
         Path, typer.Option("--fleet", help="The fleet file to add it to; made if not there.")
     ],
-    out: Annotated[
-        Path, typer.Option("--out", help="Folder for image, lanes and report; must not exist.")
-    ],
+    out: Annotated[Path, typer.Option("--out", help="New folder for image, lanes and report.")],
     model: ModelOption = None,
     duration: Annotated[
         float, typer.Option("--duration", min=1.0, metavar="SECONDS", help="How long to watch.")
     ] = 60.0,
+    datum: DatumOption = None,
+    replace: Annotated[
+        bool, typer.Option("--replace", help="Put it in the place of the camera with this id.")
+    ] = False,
 ) -> None:
     """Check a camera's calibration, watch it for a minute, and add it to a fleet file.
 
@@ -43,39 +48,54 @@ def add(
     Example: [bold]geoorbit camera add north.mp4 --calibration north.csv --camera-id north
     --fleet fleet.yaml --out north_check[/bold]
     """
-    import cv2
-
     from geoorbit_ros.cli.camera_run import REPORT, CameraJob, open_camera, warm_up_detector
     from geoorbit_ros.cli.console import console, print_lanes, say, status
     from geoorbit_ros.cli.inputs import load_calibration
     from geoorbit_ros.detection.detector import make_detector
     from geoorbit_ros.fleet.fleet_file import add_camera, check_new_camera
-    from geoorbit_ros.report.calibration_image import draw_calibration
     from geoorbit_ros.scenes.output import check_new_folder
     from geoorbit_ros.storage.atomic import atomic_output
 
-    check_new_folder(out)
-    check_new_camera(fleet, camera_id)
-    homography, origin = load_calibration(calibration, None)
+    if not replace:
+        check_new_folder(out)
+    check_new_camera(fleet, camera_id, replace=replace)
+    homography, origin = load_calibration(calibration, datum)
     with status("loading"):
         detector = make_detector(model)
     job = CameraJob(camera_id, calibration, homography, origin, detector)
-    with open_camera(source, None, duration) as images, atomic_output(out) as folder:
+    with (
+        open_camera(source, None, duration) as images,
+        atomic_output(out, overwrite=replace) as folder,
+    ):
         folder.mkdir()
         warm_up_detector(detector, images, duration)
-        _, first = next(iter(images))
-        cv2.imwrite(str(folder / CALIBRATION_IMAGE), draw_calibration(first, homography))
-        _print_calibration(homography, (first.shape[1], first.shape[0]))
+        _show_calibration(homography, next(iter(images))[1], folder / CALIBRATION_IMAGE)
         job.find_lanes(images, duration)
         job.write(folder)
+        add_camera(fleet, _entry(job, source, model, fleet), replace=replace)
     print_lanes(job.lane_map, f"Lanes of {camera_id} after {duration:g} s")
-    add_camera(fleet, _entry(job, source, model, fleet))
     say(f"Look at {out / CALIBRATION_IMAGE} and {out / REPORT}.")
     console.print(
         f" Camera {camera_id} is in {fleet}. To run it: geoorbit up {fleet} "
         f"(in a clone: ./dev run up {fleet})",
         soft_wrap=True,
     )
+
+
+@app.command("remove")
+def remove(
+    camera_id: Annotated[str, typer.Argument(help="Its id in the fleet file.")],
+    fleet: Annotated[Path, typer.Option("--fleet", help="The fleet file.")],
+) -> None:
+    """Take a camera out of a fleet file. What it recorded stays.
+
+    Example: [bold]geoorbit camera remove north --fleet fleet.yaml[/bold]
+    """
+    from geoorbit_ros.cli.console import say
+    from geoorbit_ros.fleet.fleet_file import remove_camera
+
+    left = remove_camera(fleet, camera_id)
+    say(f"Removed {camera_id} from {fleet}; it has {', '.join(c.id for c in left.cameras)}.")
 
 
 def _entry(job: CameraJob, source: str, model: Path | None, fleet: Path) -> dict[str, object]:
@@ -97,10 +117,14 @@ def _entry(job: CameraJob, source: str, model: Path | None, fleet: Path) -> dict
     return entry
 
 
-def _print_calibration(homography: Homography, image_size: tuple[int, int]) -> None:
-    from geoorbit_ros.cli.console import console, make_table, say
-    from geoorbit_ros.report.calibration_image import REACH_M, reach
+def _show_calibration(homography: Homography, image: NDArray[np.uint8], out: Path) -> None:
+    """Draw the control points into an image file, and print their errors."""
+    import cv2
 
+    from geoorbit_ros.cli.console import console, make_table, say
+    from geoorbit_ros.report.calibration_image import REACH_M, draw_calibration, reach
+
+    cv2.imwrite(str(out), draw_calibration(image, homography))
     table = make_table("Control points", ">point|>pixel x|>pixel y|>error px|>error m|used")
     residual = homography.residual
     for k, (x, y) in enumerate(homography.points.pixel):
@@ -108,7 +132,7 @@ def _print_calibration(homography: Homography, image_size: tuple[int, int]) -> N
         errors = (f"{residual.pixel_error[k]:.2f}", f"{residual.ground_error_m[k]:.3f}")
         table.add_row(str(k + 1), f"{x:.0f}", f"{y:.0f}", *errors, used)
     console.print(table)
-    far = reach(homography, image_size)
+    far = reach(homography, (image.shape[1], image.shape[0]))
     say(
         f"It sees {far.farthest_m:.0f} m of road along the middle of the image, up to where a "
         f"pixel is {REACH_M:g} m on the ground."

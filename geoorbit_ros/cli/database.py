@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 if TYPE_CHECKING:
+    from geoorbit_ros.lanes.lanes_over_time import LanesOverTime
     from geoorbit_ros.storage.database.reader import TrajectoryReader
 
 app = typer.Typer(
@@ -75,7 +75,6 @@ def export(
     --to 2026-06-01[/bold]
     """
     from geoorbit_ros.cli.console import format_size, make_progress, parse_time, say
-    from geoorbit_ros.lanes.lanes_over_time import LanesOverTime
     from geoorbit_ros.storage.database.export import export_tracks
     from geoorbit_ros.storage.database.reader import TrajectoryReader
 
@@ -87,14 +86,7 @@ def export(
         wanted = [c for c in reader.cameras() if not camera_id or c.camera_id in camera_id]
         total = sum(c.rows for c in wanted) if whole else None  # unknown for a part of the time
         task = progress.add_task(f"writing {out.name}", total=total)
-        maps = {
-            camera.camera_id: LanesOverTime(
-                reader.lane_map_stamps(camera.camera_id),
-                partial(_stored_map, reader, camera.camera_id),
-                f"{database}, lane map of {camera.camera_id}",
-            )
-            for camera in wanted
-        }
+        maps = {camera.camera_id: _stored_maps(reader, camera.camera_id) for camera in wanted}
         rows = export_tracks(
             reader,
             out,
@@ -111,8 +103,14 @@ def export(
     typer.echo(f"{out}: {rows} rows, {format_size(out.stat().st_size)}")
 
 
-def _stored_map(reader: TrajectoryReader, camera_id: str, stamp_ns: int) -> str:
-    return reader.lane_maps(camera_id, stamp_ns, stamp_ns + 1)[0][1]
+def _stored_maps(reader: TrajectoryReader, camera_id: str) -> LanesOverTime:
+    from geoorbit_ros.lanes.lanes_over_time import LanesOverTime
+
+    return LanesOverTime(
+        reader.lane_map_stamps(camera_id),
+        lambda stamp_ns: reader.lane_maps(camera_id, stamp_ns, stamp_ns + 1)[0][1],
+        f"{reader.path}, lane map of {camera_id}",
+    )
 
 
 def _zone(given: str | None) -> str:

@@ -296,7 +296,7 @@ def load_fleet(path: str | Path) -> tuple[Fleet, Path]:
     return read_yaml(file, Fleet, "fleet"), file
 
 
-def add_camera(file: Path, entry: Mapping[str, object]) -> Fleet:
+def add_camera(file: Path, entry: Mapping[str, object], *, replace: bool = False) -> Fleet:
     """Add an entry after the last camera of a fleet file, or write a new file.
 
     Comments and order of the file stay. The result is read back before it replaces the file. A new
@@ -305,14 +305,18 @@ def add_camera(file: Path, entry: Mapping[str, object]) -> Fleet:
     Args:
         file: The fleet file.
         entry: The camera's keys and values; paths relative to the file.
+        replace: Whether it takes the place of a camera with the same id, where there is one.
 
     Raises:
         InputFileError: The file is no fleet file, already has this camera, or would be wrong with
             it; then it is left as it was.
     """
-    check_new_camera(file, str(entry["id"]))
+    camera_id = str(entry["id"])
+    check_new_camera(file, camera_id, replace=replace)
     if file.exists():
-        text = _inserted(file.read_text(encoding="utf-8").rstrip("\n") + "\n", entry)
+        text = file.read_text(encoding="utf-8").rstrip("\n") + "\n"
+        known = camera_id in [camera.id for camera in load_fleet(file)[0].cameras]
+        text = _exchanged(text, camera_id, entry) if known else _inserted(text, entry)
     else:
         text = f"name: {_fleet_name(file)}\ncameras:\n{_item(entry, '  ')}"
     with atomic_output(file) as path:
@@ -320,8 +324,27 @@ def add_camera(file: Path, entry: Mapping[str, object]) -> Fleet:
         return load_fleet(path)[0]
 
 
-def check_new_camera(file: Path, camera_id: str) -> None:
-    """Refuse a camera whose id can't be, or that a fleet file has already.
+def remove_camera(file: Path, camera_id: str) -> Fleet:
+    """Take a camera out of a fleet file; comments and order of the rest stay.
+
+    Raises:
+        InputFileError: The file is no fleet file, has no such camera, or none but this one; then it
+            is left as it was.
+    """
+    cameras = [camera.id for camera in load_fleet(file)[0].cameras]
+    if camera_id not in cameras:
+        raise InputFileError(str(file), f"no camera '{camera_id}'", f"one of {', '.join(cameras)}")
+    if len(cameras) == 1:
+        expected = "another camera, which a fleet needs; delete the file to end the fleet"
+        raise InputFileError(str(file), f"only camera '{camera_id}'", expected)
+    text = _exchanged(file.read_text(encoding="utf-8").rstrip("\n") + "\n", camera_id, None)
+    with atomic_output(file) as path:
+        path.write_text(text, encoding="utf-8")
+        return load_fleet(path)[0]
+
+
+def check_new_camera(file: Path, camera_id: str, *, replace: bool = False) -> None:
+    """Refuse a camera whose id can't be, or that a fleet file has already, unless `replace`.
 
     Raises:
         ParameterError: Such an id.
@@ -330,8 +353,12 @@ def check_new_camera(file: Path, camera_id: str) -> None:
     if not re.match(IDENTIFIER, camera_id):
         expected = "a letter, then letters, digits or underscores, as in ROS 2 names"
         raise ParameterError("option --camera-id", repr(camera_id), expected)
-    if file.exists() and camera_id in [camera.id for camera in load_fleet(file)[0].cameras]:
-        raise InputFileError(str(file), f"camera '{camera_id}' is there already", "another id")
+    if not file.exists():
+        return
+    known = camera_id in [camera.id for camera in load_fleet(file)[0].cameras]
+    if known and not replace:
+        expected = "another id, or --replace"
+        raise InputFileError(str(file), f"camera '{camera_id}' is there already", expected)
 
 
 def relative(path: Path, file: Path) -> str:
@@ -346,20 +373,46 @@ def _fleet_name(file: Path) -> str:
 
 
 def _inserted(text: str, entry: Mapping[str, object]) -> str:
+    """The file's text with another camera after the last one."""
+    cameras, lines = _cameras(text)
+    end = _span(cameras.value[-1], lines)[1]
+    indent = " " * cameras.start_mark.column
+    return "".join([*lines[:end], _item(entry, indent), *lines[end:]])
+
+
+def _exchanged(text: str, camera_id: str, entry: Mapping[str, object] | None) -> str:
+    """The file's text with another entry in the place of a camera, or with nothing there."""
+    cameras, lines = _cameras(text)
+    item = next(node for node in cameras.value if camera_id == _id_of(node))
+    start, end = _span(item, lines)
+    indent = " " * cameras.start_mark.column
+    new = [] if entry is None else [_item(entry, indent)]
+    return "".join([*lines[:start], *new, *lines[end:]])
+
+
+def _cameras(text: str) -> tuple[yaml.SequenceNode, list[str]]:
+    """The list of cameras in a fleet file's text, and the text's lines."""
     root = yaml.compose(text, Loader=yaml.SafeLoader)
     assert isinstance(root, yaml.MappingNode)  # it was read as a fleet
     cameras = next(value for key, value in root.value if key.value == "cameras")
-    lines = text.splitlines(keepends=True)
     if cameras.flow_style:
         raise InputFileError(
             "fleet file, key 'cameras'", "a list in brackets", "one camera per '-'"
         )
-    last = cameras.value[-1]
-    end = last.end_mark.line + int(last.flow_style)
-    while end > last.start_mark.line and not lines[end - 1].strip(" \n").partition("#")[0].strip():
+    return cameras, text.splitlines(keepends=True)
+
+
+def _id_of(camera: yaml.MappingNode) -> str:
+    return next((str(value.value) for key, value in camera.value if key.value == "id"), "")
+
+
+def _span(camera: yaml.MappingNode, lines: list[str]) -> tuple[int, int]:
+    """First line of a camera's entry and the one after its last, comments behind it left out."""
+    start = camera.start_mark.line
+    end = camera.end_mark.line + int(bool(camera.flow_style))
+    while end > start and not lines[end - 1].strip(" \n").partition("#")[0].strip():
         end -= 1  # comments and empty lines that follow belong to what comes next
-    indent = " " * cameras.start_mark.column
-    return "".join([*lines[:end], _item(entry, indent), *lines[end:]])
+    return start, end
 
 
 def _item(entry: Mapping[str, object], indent: str) -> str:

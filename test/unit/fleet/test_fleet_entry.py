@@ -5,7 +5,12 @@ from pathlib import Path
 import pytest
 
 from geoorbit_ros.core.errors import InputFileError, ParameterError
-from geoorbit_ros.fleet.fleet_file import add_camera, check_new_camera, relative
+from geoorbit_ros.fleet.fleet_file import (
+    add_camera,
+    check_new_camera,
+    relative,
+    remove_camera,
+)
 
 ENTRY = {"id": "north", "source": "scene:lane_drop", "image_size": [640, 360]}
 
@@ -81,3 +86,46 @@ def test_a_list_in_brackets_is_left_alone(tmp_path: Path) -> None:
 def test_paths_are_named_from_the_files_folder(tmp_path: Path) -> None:
     video = tmp_path / "videos" / "north.mp4"
     assert relative(video, tmp_path / "fleets" / "fleet.yaml") == "../videos/north.mp4"
+
+
+@pytest.mark.parametrize("text", FILES.values(), ids=FILES)
+def test_a_camera_taken_out_again_leaves_the_file_as_it_was(tmp_path: Path, text: str) -> None:
+    file = tmp_path / "fleet.yaml"
+    file.write_text(text)
+    add_camera(file, ENTRY)
+    assert [camera.id for camera in remove_camera(file, "north").cameras] == ["one"]
+    assert file.read_text() == text.rstrip("\n") + "\n"
+
+
+@pytest.mark.parametrize("text", FILES.values(), ids=FILES)
+def test_a_camera_replaced_keeps_its_place_and_the_lines_of_the_others(
+    tmp_path: Path, text: str
+) -> None:
+    file = tmp_path / "fleet.yaml"
+    file.write_text(text)
+    add_camera(file, ENTRY)
+    once = file.read_text()
+    fleet = add_camera(file, {"id": "one", "source": "scene:urban_turn"}, replace=True)
+    assert [(camera.id, camera.source) for camera in fleet.cameras] == [
+        ("one", "scene:urban_turn"),
+        ("north", "scene:lane_drop"),
+    ]
+    north = [line for line in once.splitlines() if "north" in line or "lane_drop" in line]
+    assert all(line in file.read_text().splitlines() for line in north)
+    assert "s_curve" not in file.read_text()
+
+
+def test_replacing_a_camera_that_is_not_there_adds_it(tmp_path: Path) -> None:
+    file = tmp_path / "fleet.yaml"
+    assert [camera.id for camera in add_camera(file, ENTRY, replace=True).cameras] == ["north"]
+
+
+def test_what_can_not_be_taken_out_is_said(tmp_path: Path) -> None:
+    file = tmp_path / "fleet.yaml"
+    add_camera(file, ENTRY)
+    before = file.read_text()
+    with pytest.raises(InputFileError, match="no camera 'south', expected one of north"):
+        remove_camera(file, "south")
+    with pytest.raises(InputFileError, match="only camera 'north'"):
+        remove_camera(file, "north")
+    assert file.read_text() == before
