@@ -23,8 +23,8 @@ WIDTH_M = 0.8
 def plant(error: Error, network: RoadNetwork, lane_id: str, out: Path, folder: Path) -> str:
     """Write a network with one error.
 
-    `missing` takes the lane away, `extra` puts one beside it (to the right of an edge's rightmost
-    lane, to the left of any other: of the leftmost, or it lies on another lane), `width` makes it
+    `missing` takes the lane away, `extra` puts one beside it (outside an edge's outermost lane,
+    inside any other: of the innermost, or it lies on another lane), `width` makes it
     `WIDTH_M` narrower; `shifted` moves its edge by `SHIFT_M` to the left, `direction` reverses its
     edge, `offset` moves the whole map.
 
@@ -55,7 +55,7 @@ def plant(error: Error, network: RoadNetwork, lane_id: str, out: Path, folder: P
         del edge.lanes[at]
         named = f"{edge_id}_"
     elif error == "extra":
-        side = -1.0 if at == 0 else 1.0
+        side = -1.0 if (at == 0) != network.left_hand else 1.0
         shape = offset_line(lane.shape_m, side * lane.width_m)
         edge.lanes.insert(
             at if at == 0 else at + 1, LaneEdit(None, shape, lane.width_m, lane.rules)

@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from geoorbit_ros.cli.inputs import DrivingSideOption
+
 
 class ExportFormat(StrEnum):
     """What programs read."""
@@ -35,6 +37,7 @@ def export(
     tentative: Annotated[
         bool, typer.Option("--tentative", help="Lanes without enough traffic yet, too.")
     ] = False,
+    driving_side: DrivingSideOption = None,
 ) -> None:
     """Write a lane map as GeoJSON, SUMO network, OpenDRIVE or Lanelet2 map.
 
@@ -46,20 +49,28 @@ def export(
     from dataclasses import replace
 
     from geoorbit_ros.cli.console import console
+    from geoorbit_ros.cli.inputs import parse_driving_side
     from geoorbit_ros.core.errors import NoTrafficError
     from geoorbit_ros.exchange.lanelet2 import to_lanelet2
     from geoorbit_ros.exchange.opendrive import to_opendrive
     from geoorbit_ros.exchange.sumo import to_sumo
     from geoorbit_ros.lanes.geojson import LaneFile, dumps_lanes, read_lane_file
+    from geoorbit_ros.roadnet.driving_side import choose_side
     from geoorbit_ros.storage.atomic import atomic_output
 
     def to_geojson(file: LaneFile) -> str:
         names = {"camera_id": file.camera_id, "estimator": file.estimator}
         return dumps_lanes(file.lane_map, file.datum, **names)
 
+    def as_sumo(file: LaneFile) -> str:
+        given = parse_driving_side(driving_side)
+        side = choose_side(given, {}, 0.0, file.datum, str(lanes))
+        console.print(f" {side.sentence}", soft_wrap=True)
+        return to_sumo(file, side.side)
+
     writers = {
         ExportFormat.GEOJSON: to_geojson,
-        ExportFormat.SUMO: to_sumo,
+        ExportFormat.SUMO: as_sumo,
         ExportFormat.OPENDRIVE: to_opendrive,
         ExportFormat.LANELET2: to_lanelet2,
     }

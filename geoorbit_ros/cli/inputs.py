@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from geoorbit_ros.core.tables import Frames
     from geoorbit_ros.lanes.mapping.mapper import LaneMapper
     from geoorbit_ros.lanes.pipeline import StampedRows
+    from geoorbit_ros.roadnet.driving_side import Side
     from geoorbit_ros.storage.tracks.cleaning import ReadOptions
 
 
@@ -100,6 +101,14 @@ DatumOption = Annotated[
         "--datum",
         metavar="LAT,LON",
         help="Origin of the local map; default: the middle of the control points.",
+    ),
+]
+DrivingSideOption = Annotated[
+    str | None,
+    typer.Option(
+        "--driving-side",
+        metavar="left|right",
+        help="Where traffic drives; default: as the map's tags say, else as at its place.",
     ),
 ]
 ModelOption = Annotated[
@@ -286,6 +295,17 @@ def parse_image_size(text: str) -> tuple[int, int]:
     ):
         raise ParameterError("option --image-size", repr(text), "WIDTHxHEIGHT such as 1920x1080")
     return int(parts[0]), int(parts[1])
+
+
+def parse_driving_side(text: str | None) -> Side | None:
+    """The side of `left` or `right`.
+
+    Raises:
+        ParameterError: Neither.
+    """
+    if text is None or text in ("left", "right"):
+        return text
+    raise ParameterError("option --driving-side", repr(text), "left or right")
 
 
 def parse_datum(text: str | None) -> Datum | None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from geoorbit_ros.cli.inputs import DatumOption
+from geoorbit_ros.cli.inputs import DatumOption, DrivingSideOption
 
 if TYPE_CHECKING:
     from geoorbit_ros.roadnet.map_build import BuiltMap
@@ -36,6 +36,7 @@ def build(
             "--lane-width", min=2.0, max=6.0, help="Metres, for lanes whose width the map lacks."
         ),
     ] = 3.5,
+    driving_side: DrivingSideOption = None,
 ) -> None:
     """Make a SUMO network and an OpenDRIVE road of a map, by SUMO's own netconvert.
 
@@ -45,20 +46,20 @@ def build(
     Example: [bold]geoorbit map build area.osm --out area[/bold]
     """
     from geoorbit_ros.cli.console import console, status
-    from geoorbit_ros.cli.inputs import parse_datum
+    from geoorbit_ros.cli.inputs import parse_datum, parse_driving_side
     from geoorbit_ros.core.errors import ParameterError
     from geoorbit_ros.roadnet.map_build import build_from_network, build_from_osm
     from geoorbit_ros.storage.atomic import atomic_output
     from geoorbit_ros.twin.figures import save_network_figure
 
-    origin = parse_datum(datum)
+    origin, side = parse_datum(datum), parse_driving_side(driving_side)
     with atomic_output(out) as folder:
         folder.mkdir()
         with status("building the network"):
             if area is not None and net is None:
-                built = build_from_osm(area, folder, origin, lane_width)
+                built = build_from_osm(area, folder, origin, lane_width, side)
             elif net is not None and area is None:
-                built = build_from_network(net, folder, origin)
+                built = build_from_network(net, folder, origin, side)
             else:
                 found = "neither" if area is None else "both"
                 expected = "exactly one of them"
@@ -88,5 +89,7 @@ def _print_map(built: BuiltMap) -> None:
         f"{count_of(built.opendrive, 'OpenDRIVE road')}; (0, 0) is at {datum.latitude_deg:.7f}, "
         f"{datum.longitude_deg:.7f}."
     )
+    for sentence in built.said:
+        say(sentence)
     if built.warnings:
         say(f"netconvert had {count_of(len(built.warnings), 'warning')} (map.json).")

@@ -16,6 +16,7 @@ from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.polylines import project, sample
 from geoorbit_ros.exchange.provenance import file_facts, lane_facts
 from geoorbit_ros.lanes.geojson import LaneFile
+from geoorbit_ros.roadnet.driving_side import Side
 from geoorbit_ros.roadnet.netconvert import netconvert
 
 MAX_GAP_M = 1.0
@@ -33,12 +34,14 @@ SPEED_MPS = 13.89
 """50 km/h for all lanes, because a lane map has no limits. Chosen: the usual limit in towns."""
 
 
-def carriageways(lanes: Sequence[Lane]) -> list[list[Lane]]:
-    """Groups of neighbouring lanes of one direction and similar length, from right to left.
+def carriageways(lanes: Sequence[Lane], side: Side = "right") -> list[list[Lane]]:
+    """Groups of neighbouring lanes of one direction and similar length, the outermost first.
 
     Args:
         lanes: In the map frame.
+        side: Where traffic drives: the outermost lane is the rightmost, or the leftmost.
     """
+    outwards = 1.0 if side == "right" else -1.0
     pairs = [
         (i, j)
         for i, a in enumerate(lanes)
@@ -52,7 +55,9 @@ def carriageways(lanes: Sequence[Lane]) -> list[list[Lane]]:
         [lane for lane, k in zip(lanes, label, strict=True) if k == wanted]
         for wanted in np.unique(label)
     ]
-    return [sorted(group, key=lambda lane: _offset_m(lane, group[0])) for group in groups]
+    return [
+        sorted(group, key=lambda lane: outwards * _offset_m(lane, group[0])) for group in groups
+    ]
 
 
 def _neighbours(a: Lane, b: Lane) -> bool:
@@ -75,15 +80,19 @@ def _offset_m(lane: Lane, reference: Lane) -> float:
     return float(project(np.array([[x, y]]), reference.centerline_m).offset_m[0])
 
 
-def to_sumo(file: LaneFile) -> str:
+def to_sumo(file: LaneFile, side: Side = "right") -> str:
     """A lane map as the text of a `.net.xml` file.
+
+    Args:
+        file: The lane map.
+        side: Where traffic drives.
 
     Raises:
         RoadNetworkError: SUMO is not installed, or netconvert refuses the lanes.
     """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        nodes, edges = _plain_xml(file)
+        nodes, edges = _plain_xml(file, side)
         for plain, root in (("lanes.nod.xml", nodes), ("lanes.edg.xml", edges)):
             Xml.ElementTree(root).write(folder / plain, encoding="utf-8", xml_declaration=True)
         netconvert(
@@ -91,6 +100,7 @@ def to_sumo(file: LaneFile) -> str:
                 *("--node-files", "lanes.nod.xml", "--edge-files", "lanes.edg.xml"),
                 *("--output-file", "lanes.net.xml", "--offset.disable-normalization"),
                 *("--precision", "4", "--no-internal-links", "--no-turnarounds"),
+                *(["--lefthand"] if side == "left" else []),
             ],
             f"lanes of '{file.camera_id}'",
             folder,
@@ -98,7 +108,7 @@ def to_sumo(file: LaneFile) -> str:
         return (folder / "lanes.net.xml").read_text(encoding="utf-8")
 
 
-def _plain_xml(file: LaneFile) -> tuple[Xml.Element, Xml.Element]:
+def _plain_xml(file: LaneFile, side: Side) -> tuple[Xml.Element, Xml.Element]:
     nodes, edges = Xml.Element("nodes"), Xml.Element("edges")
     points = np.concatenate([lane.centerline_m for lane in file.lane_map.lanes])
     bounds = ",".join(f"{value:.4f}" for value in (*points.min(axis=0), *points.max(axis=0)))
@@ -110,7 +120,7 @@ def _plain_xml(file: LaneFile) -> tuple[Xml.Element, Xml.Element]:
         origBoundary=bounds,
         projParameter=file.datum.proj_string,
     )
-    for group in carriageways(file.lane_map.lanes):
+    for group in carriageways(file.lane_map.lanes, side):
         name = f"lanes_{'_'.join(str(lane.lane_id) for lane in group)}"
         reference_line = group[len(group) // 2].centerline_m
         for end, (x, y) in (("start", reference_line[0]), ("end", reference_line[-1])):

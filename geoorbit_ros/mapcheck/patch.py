@@ -19,7 +19,7 @@ from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.polylines import project
 from geoorbit_ros.mapcheck.driven_lanes import DrivenLane, moved_line, places_along
 from geoorbit_ros.mapcheck.findings import Finding
-from geoorbit_ros.mapcheck.validation import Validation, validate
+from geoorbit_ros.mapcheck.validation import Validation, made_for_other_side, validate
 from geoorbit_ros.roadnet.errors import RoadNetworkError
 from geoorbit_ros.roadnet.map_build import write_moved
 from geoorbit_ros.roadnet.netconvert import drop_header
@@ -147,10 +147,13 @@ class _Editor:
             line = self._network.line(k)
             side = float(np.median(project(finding.line_m, line).offset_m))
             new = LaneEdit(None, self._moved(k, finding.line_m), width, dict(lane.rules))
-            edit.lanes.insert(at + 1 if side > 0 else at, new)
+            inner = (side > 0) != self._network.left_hand
+            edit.lanes.insert(at + 1 if inner else at, new)
         return ""
 
     def _reverse(self, edge_id: str, found: Validation) -> str:
+        if made_for_other_side(found.discrepancies):
+            return "the map is made for traffic on the other side"
         wrong = {f.lane_id for f in found.findings if f.kind == "direction"}
         right = set(found.discrepancies.compared) - wrong
         if any(self._network.edge_id[self._network.number[lane]] == edge_id for lane in right):

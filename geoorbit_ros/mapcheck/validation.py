@@ -16,6 +16,10 @@ from geoorbit_ros.mapcheck.discrepancies import Discrepancies, compare
 from geoorbit_ros.mapcheck.findings import TITLES, Finding
 from geoorbit_ros.roadnet.network import RoadNetwork
 
+OPPOSITE = float(np.cos(np.radians(30.0)))
+"""Opposite directions differ by 180 degrees, give or take 30. Chosen: less misses roads in bends,
+more takes crossing roads for one."""
+
 
 @dataclass(frozen=True, slots=True)
 class Validation:
@@ -25,11 +29,13 @@ class Validation:
         alignment: How the camera's map frame lies on the network.
         findings: The displaced map first, then single lanes, the most certain first.
         discrepancies: Single lanes, with those not compared.
+        notes: What else the user should know, as sentences without full stop.
     """
 
     alignment: Alignment
     findings: tuple[Finding, ...]
     discrepancies: Discrepancies
+    notes: tuple[str, ...] = ()
 
     def summary(self) -> list[str]:
         """What was found, in one or two sentences."""
@@ -40,7 +46,7 @@ class Validation:
                 f"the map differs from the lanes seen in {lanes} places: "
                 "geoorbit twin patch corrects it."
             )
-        return found
+        return found + [f"{note}." for note in self.notes]
 
     def record(self, datum: Datum) -> dict[str, Any]:
         """Everything for a JSON file, positions in degrees."""
@@ -54,6 +60,7 @@ class Validation:
                 "lanes": a.lanes,
             },
             "findings": [_record(finding, datum) for finding in self.findings],
+            "notes": list(self.notes),
             "not_seen": [{"lane": u.lane_id, "why": u.sentence} for u in self.discrepancies.unseen],
             "compared_m": {k: round(m, 1) for k, m in self.discrepancies.compared.items()},
         }
@@ -71,7 +78,30 @@ def validate(lanes: Sequence[Lane], network: RoadNetwork) -> Validation:
     findings = found.findings
     if alignment.significant:
         findings = (_offset(alignment), *findings)
-    return Validation(alignment, findings, found)
+    other = made_for_other_side(found)
+    notes = (_other_side(len(found.compared), network),) if other else ()
+    return Validation(alignment, findings, found, notes)
+
+
+def made_for_other_side(found: Discrepancies) -> bool:
+    """Whether traffic runs against all lanes that were compared, in both directions of a road.
+
+    Then no lane is wrong by itself: the map is made for traffic on the other side.
+    """
+    turned = {f.lane_id: f.measured for f in found.findings if f.kind == "direction"}
+    if not turned or turned.keys() != found.compared.keys():
+        return False
+    heading = np.radians(list(turned.values()))
+    return bool(np.cos(heading[:, None] - heading).min() < -OPPOSITE)
+
+
+def _other_side(lanes: int, network: RoadNetwork) -> str:
+    side, other = ("left", "right") if network.left_hand else ("right", "left")
+    return (
+        f"traffic runs against all {lanes} lanes that were compared: the map is made for traffic "
+        f"on the {side}, here it drives on the {other} "
+        f"(geoorbit map build --driving-side {other} makes it anew)"
+    )
 
 
 def in_frame(lanes: Sequence[Lane], datum: Datum, wanted: Datum) -> list[Lane]:

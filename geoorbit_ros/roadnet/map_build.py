@@ -13,6 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.core.errors import ParameterError
+from geoorbit_ros.roadnet.driving_side import (
+    SIDES,
+    DrivingSide,
+    Side,
+    choose_side,
+    side_doubt,
+)
 from geoorbit_ros.roadnet.errors import RoadNetworkError
 from geoorbit_ros.roadnet.netconvert import drop_header, netconvert, netconvert_version
 from geoorbit_ros.roadnet.network import RoadNetwork, load_network
@@ -48,15 +56,21 @@ class BuiltMap:
         network: The network, its coordinates being the map frame at its datum.
         opendrive: Roads in the OpenDRIVE file.
         warnings: What netconvert warned of, one sentence each.
+        said: What the user should know about the map, in sentences.
     """
 
     network: RoadNetwork
     opendrive: int
     warnings: tuple[str, ...]
+    said: tuple[str, ...] = ()
 
 
 def build_from_osm(
-    area: Path, folder: Path, datum: Datum | None = None, lane_width_m: float = LANE_WIDTH_M
+    area: Path,
+    folder: Path,
+    datum: Datum | None = None,
+    lane_width_m: float = LANE_WIDTH_M,
+    side: Side | None = None,
 ) -> BuiltMap:
     """Write network, OpenDRIVE and record of an OpenStreetMap extract into a folder.
 
@@ -65,11 +79,15 @@ def build_from_osm(
         folder: Where the files go.
         datum: Origin of the coordinates; default: the middle of the extract's roads.
         lane_width_m: For lanes whose width the map doesn't state.
+        side: Where traffic drives; default: by the map's tags, or by its place.
 
     Raises:
         RoadNetworkError: No map, no road in it, netconvert refuses it, or SUMO is not installed.
+        ParameterError: The side of the road can't be known.
     """
-    datum = datum or _middle_of_roads(area)
+    roads = _roads(area)
+    chosen = choose_side(side, roads.tagged_m, roads.length_m, roads.middle, str(area))
+    datum = datum or roads.middle
     source = area
     if area.suffix == ".gz":  # netconvert reads gzip by its name .osm.xml.gz alone
         source = folder / "area.osm.xml"
@@ -79,31 +97,48 @@ def build_from_osm(
         *_OSM_OPTIONS,
         f"--default.lanewidth={lane_width_m:g}",
         f"--proj={datum.proj_string}",
+        *(["--lefthand=true"] if chosen.side == "left" else []),
     ]
     warnings = netconvert([f"--osm-files={source}", f"--output-file={net}", *options], str(area))
     if source != area:
         source.unlink()
-    return _finish(folder, datum, area, options, warnings)
+    return _finish(folder, datum, area, options, warnings, chosen)
 
 
-def build_from_network(net: Path, folder: Path, datum: Datum | None = None) -> BuiltMap:
+def build_from_network(
+    net: Path, folder: Path, datum: Datum | None = None, given: Side | None = None
+) -> BuiltMap:
     """Write an existing network, moved into the map frame, its OpenDRIVE and the record.
 
     Args:
         net: A SUMO network with a projection.
         folder: Where the files go.
         datum: Origin of the coordinates; default: the middle of the network.
+        given: Where traffic drives, as the user says; the network must say the same.
 
     Raises:
         RoadNetworkError: The network can't be used, netconvert refuses it, or SUMO is missing.
+        ParameterError: The network's traffic drives on the other side.
     """
     network = load_network(net, datum)
     write_reprojected(network, folder / NETWORK)
-    return _finish(folder, network.datum, net, [], ())
+    side: Side = "left" if network.left_hand else "right"
+    if given not in (None, side):
+        found = f"{given}, but the network's lanes are made for traffic on the {side}"
+        raise ParameterError("option --driving-side", found, f"{side}, or an OpenStreetMap extract")
+    doubt = side_doubt(side, network.datum)
+    return _finish(
+        folder, network.datum, net, [], (), DrivingSide(side, "as the network says", doubt)
+    )
 
 
 def _finish(
-    folder: Path, datum: Datum, source: Path, options: list[str], warnings: tuple[str, ...]
+    folder: Path,
+    datum: Datum,
+    source: Path,
+    options: list[str],
+    warnings: tuple[str, ...],
+    side: DrivingSide,
 ) -> BuiltMap:
     network = load_network(folder / NETWORK, datum)
     opendrive = folder / OPENDRIVE
@@ -119,6 +154,7 @@ def _finish(
         "source": source.name,
         "datum": {"latitude_deg": datum.latitude_deg, "longitude_deg": datum.longitude_deg},
         "projection": datum.proj_string,
+        "driving_side": {"side": side.side, "why": side.why, "doubt": side.doubt},
         "netconvert": {
             "version": netconvert_version(),
             "network_options": options,
@@ -130,11 +166,26 @@ def _finish(
     }
     text = json.dumps(record, indent=2, ensure_ascii=False)
     (folder / RECORD).write_text(text + "\n", encoding="utf-8")
-    return BuiltMap(network, roads, warnings)
+    return BuiltMap(network, roads, warnings, (side.sentence,))
 
 
-def _middle_of_roads(area: Path) -> Datum:
-    """The middle of the nodes that drivable ways use, to seven decimals.
+@dataclass(frozen=True, slots=True)
+class _Roads:
+    """The roads of an extract.
+
+    Attributes:
+        middle: To seven decimals of a degree.
+        length_m: Of all.
+        tagged_m: Of those whose tags say on which side traffic drives.
+    """
+
+    middle: Datum
+    length_m: float
+    tagged_m: dict[Side, float]
+
+
+def _roads(area: Path) -> _Roads:
+    """Read what decides where and how a network is made of an extract.
 
     Raises:
         RoadNetworkError: No map, or no road in it.
@@ -142,26 +193,34 @@ def _middle_of_roads(area: Path) -> Datum:
     root = parse_xml(area, _OSM_EXPECTED).getroot()
     if root.tag != "osm":
         raise RoadNetworkError(str(area), f"a file of <{root.tag}>", _OSM_EXPECTED)
-    used = {
-        node.get("ref")
+    ways = {
+        way: {tag.get("k", ""): tag.get("v", "") for tag in way.iter("tag")}
         for way in root.iter("way")
-        if any(tag.get("k") == "highway" for tag in way.iter("tag"))
-        for node in way.iter("nd")
     }
+    roads = {way: tags for way, tags in ways.items() if "highway" in tags}
+    used = {node.get("ref") for way in roads for node in way.iter("nd")}
     try:
-        places = np.array(
-            [
-                (float(node.attrib["lat"]), float(node.attrib["lon"]))
-                for node in root.iter("node")
-                if node.get("id") in used
-            ]
-        )
+        places = {
+            node.attrib["id"]: (float(node.attrib["lat"]), float(node.attrib["lon"]))
+            for node in root.iter("node")
+            if node.get("id") in used
+        }
     except (KeyError, ValueError) as error:
         raise RoadNetworkError(str(area), f"a node without {error}", _OSM_EXPECTED) from error
-    if not len(places):
+    if not places:
         raise RoadNetworkError(str(area), "no road (way with the tag highway)", _OSM_EXPECTED)
-    latitude, longitude = 0.5 * (places.min(axis=0) + places.max(axis=0))
-    return Datum(round(float(latitude), 7), round(float(longitude), 7))
+    corners = np.array(list(places.values()))
+    latitude, longitude = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+    middle = Datum(round(float(latitude), 7), round(float(longitude), 7))
+    length_m, tagged_m = 0.0, dict.fromkeys(SIDES, 0.0)
+    for way, tags in roads.items():
+        line = np.array([places[ref] for nd in way.iter("nd") if (ref := nd.get("ref")) in places])
+        if len(line) > 1:
+            metres = float(np.hypot(*np.diff(middle.to_local(*line.T), axis=0).T).sum())
+            length_m += metres
+            if (side := tags.get("driving_side")) in tagged_m:
+                tagged_m[side] += metres
+    return _Roads(middle, length_m, tagged_m)
 
 
 def _check_opendrive(path: Path, datum: Datum) -> int:

@@ -15,7 +15,7 @@ from pyproj.exceptions import ProjError
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.core.errors import CalibrationError
 from geoorbit_ros.roadnet.errors import RoadNetworkError
-from geoorbit_ros.roadnet.network_file import LaneRecord, read_network_file
+from geoorbit_ros.roadnet.network_file import NetworkContent, read_network_file
 from geoorbit_ros.roadnet.plane import NetworkPlane
 
 NO_LANE = -1
@@ -32,7 +32,8 @@ class RoadNetwork:
         plane: Converts between the map frame and the network's own coordinates.
         lane_id: (L,) SUMO's ids.
         edge_id: (L,) of the edge of each lane.
-        index: (L,) index in the edge, 0 the rightmost.
+        index: (L,) index in the edge, 0 the outermost: the rightmost, where traffic drives on the
+            right.
         internal: (L,) whether the lane crosses a junction.
         width_m: (L,).
         speed_mps: (L,) speed limits.
@@ -42,6 +43,7 @@ class RoadNetwork:
         start: (L + 1,) points of lane k are `point_m[start[k]:start[k + 1]]`.
         point_m: (P, 2) centre lines in travel order, map frame.
         successors: (L,) lanes that each lane leads into, internal ones included.
+        left_hand: Whether traffic drives on the left.
     """
 
     path: Path
@@ -59,6 +61,7 @@ class RoadNetwork:
     start: NDArray[np.int64]
     point_m: NDArray[np.float64]
     successors: tuple[tuple[int, ...], ...]
+    left_hand: bool = False
 
     def __len__(self) -> int:
         return len(self.lane_id)
@@ -129,7 +132,7 @@ def load_network(path: str | Path, datum: Datum | None = None) -> RoadNetwork:
     if datum is None:
         datum = _middle(content.projection, content.net_offset, 0.5 * (low + high), str(path))
     plane = NetworkPlane(content.projection, content.net_offset, bounds, datum, str(path))
-    return _assemble(Path(path), datum, plane, content.lanes, content.links)
+    return _assemble(Path(path), datum, plane, content)
 
 
 def _own_datum(projection: str) -> Datum | None:
@@ -161,13 +164,13 @@ def _assemble(
     path: Path,
     datum: Datum,
     plane: NetworkPlane,
-    lanes: tuple[LaneRecord, ...],
-    links: tuple[tuple[str, str], ...],
+    content: NetworkContent,
 ) -> RoadNetwork:
+    lanes = content.lanes
     number = {lane.lane_id: k for k, lane in enumerate(lanes)}
     by_place = {(lane.edge_id, lane.index): k for k, lane in enumerate(lanes)}
     successors: list[list[int]] = [[] for _ in lanes]
-    for source, target in links:
+    for source, target in content.links:
         if number[target] not in successors[number[source]]:
             successors[number[source]].append(number[target])
     start = np.append(0, np.cumsum([len(lane.shape) for lane in lanes])).astype(np.int64)
@@ -175,6 +178,8 @@ def _assemble(
     step = np.hypot(*np.diff(point_m, axis=0).T)
     arc = np.append(0.0, np.cumsum(step))
     length = arc[start[1:] - 1] - arc[start[:-1]]
+
+    inwards = -1 if content.left_hand else 1
 
     def beside(shift: int) -> NDArray[np.int64]:
         return np.array([by_place.get((e.edge_id, e.index + shift), NO_LANE) for e in lanes])
@@ -190,9 +195,10 @@ def _assemble(
         width_m=np.array([lane.width_m for lane in lanes]),
         speed_mps=np.array([lane.speed_mps for lane in lanes]),
         length_m=length,
-        left=beside(1),
-        right=beside(-1),
+        left=beside(inwards),
+        right=beside(-inwards),
         start=start,
         point_m=point_m,
         successors=tuple(tuple(nexts) for nexts in successors),
+        left_hand=content.left_hand,
     )

@@ -28,7 +28,7 @@ class LaneRecord:
     Attributes:
         lane_id: SUMO's id.
         edge_id: Of the edge that it belongs to.
-        index: 0 is the rightmost.
+        index: 0 is the outermost: the rightmost, where traffic drives on the right.
         internal: Whether it crosses a junction.
         speed_mps: Speed limit.
         width_m: Its width.
@@ -55,12 +55,14 @@ class NetworkContent:
         links: Lane ids (from, to), through internal lanes where there are any.
         projection: PROJ definition; empty when the network has none.
         net_offset: (x, y) added to projected coordinates.
+        left_hand: Whether traffic drives on the left.
     """
 
     lanes: tuple[LaneRecord, ...]
     links: tuple[tuple[str, str], ...]
     projection: str
     net_offset: tuple[float, float]
+    left_hand: bool
 
 
 def parse_xml(path: str | Path, expected: str = _EXPECTED) -> Xml.ElementTree[Xml.Element]:
@@ -109,6 +111,7 @@ def read_network_file(path: str | Path) -> NetworkContent:
         tuple(_links(root, {lane.lane_id for lane in lanes})),
         "" if projection in ("!", "-", ".") else projection,
         (x, y),
+        root.get("lefthand", "false").lower() in ("true", "1", "yes"),
     )
 
 

@@ -58,7 +58,7 @@ class LaneEdit:
 
 @dataclass(slots=True)
 class EdgeEdit:
-    """An edge that can be changed; its lanes are ordered from right to left."""
+    """An edge that can be changed; its lanes are ordered by index, the outermost first."""
 
     edge_id: str
     lanes: list[LaneEdit]

@@ -100,7 +100,11 @@ def save_network_figure(path: Path, network: RoadNetwork) -> None:
             )
     plot.set_xlabel("east of the datum, m")
     plot.set_ylabel("north, m")
-    plot.set_title(f"{network.path.name}: colours count lanes from the right", fontsize=10)
+    side = "left" if network.left_hand else "right"
+    plot.set_title(
+        f"{network.path.name}: traffic drives on the {side}, colours count lanes from the {side}",
+        fontsize=10,
+    )
     figure.tight_layout()
     figure.savefig(path, dpi=130)
 

@@ -108,5 +108,5 @@ def _print_findings(found: Validation) -> None:
     say(say_alignment(found.alignment))
     if not found.findings:
         say(f"No findings in {len(found.discrepancies.compared)} lanes.")
-    for unseen in found.discrepancies.unseen:
-        say(f"{unseen.sentence[0].upper()}{unseen.sentence[1:]}.")
+    for note in (*found.notes, *(unseen.sentence for unseen in found.discrepancies.unseen)):
+        say(f"{note[0].upper()}{note[1:]}.")

@@ -1,0 +1,158 @@
+"""On which side of the road traffic drives: as the user says, by the map's tags, or by the place.
+
+The place is looked up in `left_traffic.csv`, which holds the areas where traffic drives on the left
+(docs/adr/0036-side-of-the-road.md). Where none of the three says it, the user is asked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.core.errors import ParameterError
+
+Side = Literal["left", "right"]
+SIDES: tuple[Side, Side] = ("left", "right")
+AREAS = Path(__file__).with_name("left_traffic.csv")
+BORDER_KM = 5.0
+"""Nearer to a border between left and right the side is not known by the place. Chosen: larger asks
+more often, smaller guesses where the borders of the table are wrong (ADR 0036 has figures)."""
+KM_PER_DEGREE = 111.2
+"""Of latitude, on a sphere of 6371 km."""
+TAGGED_SHARE = 0.5
+"""Tags of at least this share of the roads speak for the whole map. Chosen: larger lets the place
+overrule a map that says otherwise, smaller lets the one road with another side (the forecourt of a
+London hotel) decide."""
+
+
+@dataclass(frozen=True, slots=True)
+class DrivingSide:
+    """The side, and how it is known.
+
+    Attributes:
+        side: Where traffic drives.
+        why: How that is known, as the rest of a sentence.
+        doubt: What speaks against it, as a sentence without full stop; empty where nothing does.
+    """
+
+    side: Side
+    why: str
+    doubt: str = ""
+
+    @property
+    def sentence(self) -> str:
+        """What is known, as a sentence."""
+        doubt = f"; {self.doubt}" if self.doubt else ""
+        return f"Traffic drives on the {self.side}, {self.why}{doubt}."
+
+
+def side_at(latitude_deg: float, longitude_deg: float) -> Side | None:
+    """The side on which traffic drives at a place on land; None near a border between both."""
+    left, distance_km = False, np.inf
+    for area in _areas():
+        begin = area.lon_lat_deg
+        end = np.roll(begin, -1, axis=0)
+        (x, y), (x1, y1) = begin.T, end.T
+        crosses = (y > latitude_deg) != (y1 > latitude_deg)
+        rise = np.where(crosses, y1 - y, 1.0)
+        right_of = longitude_deg < x + (latitude_deg - y) * (x1 - x) / rise
+        left ^= bool(np.count_nonzero(crosses & right_of) % 2)
+        near = _distance_km(begin[area.border], end[area.border], latitude_deg, longitude_deg)
+        distance_km = min(distance_km, near)
+    if distance_km < BORDER_KM:
+        return None
+    return "left" if left else "right"
+
+
+def choose_side(
+    given: Side | None, tagged_m: Mapping[Side, float], roads_m: float, place: Datum, name: str
+) -> DrivingSide:
+    """The side of a map: as given, else as most of its roads are tagged, else by the place.
+
+    Args:
+        given: What the user says.
+        tagged_m: Metres of road whose tags say left, and right.
+        roads_m: Metres of road in all.
+        place: Where the map lies.
+        name: The map, for the error.
+
+    Raises:
+        ParameterError: Nothing says it.
+    """
+    by_place = side_at(place.latitude_deg, place.longitude_deg)
+    where = f"at {place.latitude_deg:.3f}, {place.longitude_deg:.3f}"
+    tags = max(SIDES, key=lambda side: tagged_m.get(side, 0.0))
+    other: Side = "right" if tags == "left" else "left"
+    tagged = tagged_m.get(tags, 0.0)
+    sure = tagged > tagged_m.get(other, 0.0)
+    if given is not None:
+        doubt = ""
+        if sure and tags != given:
+            doubt = f"its tags say {tags}"
+        elif by_place not in (None, given):
+            doubt = f"{where} one drives on the {by_place}"
+        return DrivingSide(given, "as --driving-side says", doubt)
+    if sure and (by_place is None or tagged >= TAGGED_SHARE * roads_m):
+        doubt = f"{where} one drives on the {by_place}" if by_place not in (None, tags) else ""
+        return DrivingSide(tags, "by the tags driving_side of its roads", doubt)
+    if by_place is None:
+        found = f"a place {where}, near a border between left and right, and no tags driving_side"
+        raise ParameterError(name, found, "--driving-side left or right")
+    exceptions = sum(metres for side, metres in tagged_m.items() if side != by_place)
+    doubt = f"{exceptions:.0f} m of its roads are tagged otherwise" if exceptions else ""
+    return DrivingSide(by_place, f"by the place ({where[3:]})", doubt)
+
+
+def side_doubt(side: Side, place: Datum) -> str:
+    """What the place says against a network's own side, as a sentence; empty where it agrees."""
+    known = side_at(place.latitude_deg, place.longitude_deg)
+    if known in (None, side):
+        return ""
+    return (
+        f"The network's traffic drives on the {side}, but at {place.latitude_deg:.3f}, "
+        f"{place.longitude_deg:.3f} one drives on the {known}: geoorbit map build --driving-side "
+        f"{known} makes it anew of OpenStreetMap."
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Area:
+    """(K, 2) corners of an area with left-hand traffic, and (K,) which edges are such borders."""
+
+    lon_lat_deg: NDArray[np.float64]
+    border: NDArray[np.bool_]
+
+
+@cache
+def _areas() -> tuple[_Area, ...]:
+    rows = np.loadtxt(AREAS, delimiter=",", skiprows=_header_lines(), dtype=np.float64)
+    return tuple(
+        _Area(rows[rows[:, 0] == k, 1:3], rows[rows[:, 0] == k, 3] > 0.0)
+        for k in np.unique(rows[:, 0])
+    )
+
+
+def _header_lines() -> int:
+    lines = AREAS.read_text(encoding="utf-8").splitlines()
+    return next(k for k, line in enumerate(lines) if line.startswith("area,")) + 1
+
+
+def _distance_km(
+    begin: NDArray[np.float64], end: NDArray[np.float64], latitude_deg: float, longitude_deg: float
+) -> float:
+    """From a place to the nearest of edges (K, 2), longitude first; exact enough for some km."""
+    if not len(begin):
+        return float("inf")
+    scale = np.array([np.cos(np.radians(latitude_deg)), 1.0]) * KM_PER_DEGREE
+    place = np.array([longitude_deg, latitude_deg])
+    a, b = (begin - place) * scale, (end - place) * scale
+    step = b - a
+    share = np.clip(-(a * step).sum(axis=1) / np.maximum((step**2).sum(axis=1), 1e-9), 0.0, 1.0)
+    return float(np.hypot(*(a + share[:, None] * step).T).min())
