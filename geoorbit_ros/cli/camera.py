@@ -134,6 +134,6 @@ def _show_calibration(homography: Homography, image: NDArray[np.uint8], out: Pat
     console.print(table)
     far = reach(homography, (image.shape[1], image.shape[0]))
     say(
-        f"It sees {far.farthest_m:.0f} m of road along the middle of the image, up to where a "
-        f"pixel is {REACH_M:g} m on the ground."
+        f"The camera sees {far.farthest_m:.0f} m of road, measured up the middle of its image to "
+        f"where an error of one pixel is {REACH_M:g} m on the road."
     )

@@ -167,7 +167,7 @@ def print_score(score: LaneScore) -> None:
     from geoorbit_ros.report.text import number, score_sentences
 
     table = make_table(
-        "Against the truth",
+        "Compared with the true lanes",
         ">truth|>vehicles|>lane|status|>error m|>95 % m|>bias m|>width m|>covered",
     )
     for row in score.lanes:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.plane import Homography
-from geoorbit_ros.report.image_text import write_text
+from geoorbit_ros.report.image_text import text_width, write_text
 
 Image = NDArray[np.uint8]
 
@@ -26,6 +26,8 @@ REACH_M = 1.0
 about 1 m; larger promises a range in which they are not."""
 _GOOD, _BAD, _LINE = (80, 220, 80), (60, 60, 255), (255, 220, 120)
 """Colours of used points, rejected points and lines of equal error, as blue, green, red."""
+_TEXT = 0.45
+"""Size of text in an image of 720 lines. Chosen: larger labels cover each other."""
 _STEP_PX = 8
 """Of the grid on which errors are computed. Chosen: smaller is slower, larger rougher."""
 
@@ -98,10 +100,15 @@ def draw_calibration(image: Image, homography: Homography) -> Image:
             end = tuple(round(c) for c in tip)
             cv2.line(drawn, centre, end, colour, max(round(2 * scale), 1), cv2.LINE_AA)
         label = f"{k + 1}: {residual.pixel_error[k]:.1f} px, {residual.ground_error_m[k]:.2f} m"
-        at = (centre[0] + round(9 * scale), centre[1] - round(6 * scale))
+        beside = round(9 * scale)
+        if centre[0] + beside + text_width(label, _TEXT * scale) > width:
+            beside = -beside - text_width(label, _TEXT * scale)
+        at = (centre[0] + beside, centre[1] - round(6 * scale))
         _label(drawn, label, at, scale, colour)
     used = int(residual.inlier.sum())
-    caption = f"{used} of {len(points)} control points used; errors drawn {ERROR_SCALE:g}x"
+    caption = (
+        f"{used} of {len(points)} control points used; errors drawn {ERROR_SCALE:g} times too long"
+    )
     _label(drawn, caption, (round(10 * scale), round(24 * scale)), 1.3 * scale, (255, 255, 255))
     return drawn
 
@@ -131,4 +138,4 @@ def _draw_levels(drawn: Image, error: NDArray[np.float64], scale: float) -> None
 def _label(
     image: Image, text: str, at: tuple[int, int], scale: float, colour: tuple[int, int, int]
 ) -> None:
-    write_text(image, text, at, 0.45 * scale, colour, max(round(scale), 1))
+    write_text(image, text, at, _TEXT * scale, colour, max(round(scale), 1))

@@ -31,3 +31,8 @@ def write_text(
         place = (at[0] + dx, at[1] + dy)
         cv2.putText(image, text, place, _FONT, size, _BLACK, thickness, cv2.LINE_AA)
     cv2.putText(image, text, at, _FONT, size, colour, thickness, cv2.LINE_AA)
+
+
+def text_width(text: str, size: float, thickness: int = 1) -> int:
+    """Pixels that `write_text` takes from left to right, the rim included."""
+    return int(cv2.getTextSize(text, _FONT, size, thickness)[0][0]) + 2 * max(round(size), 1)

@@ -72,7 +72,9 @@ def report_html(content: ReportInput) -> str:
     if content.truth is not None:
         score = score_lanes(lanes, content.truth)
         parts.append(
-            _section("Against the truth", _list(score_sentences(score)) + score_table(score))
+            _section(
+                "Compared with the true lanes", _list(score_sentences(score)) + score_table(score)
+            )
         )
     parts.append(_calibration(content))
     parts.append(_section("How this was made", facts(content.provenance)))
@@ -87,13 +89,17 @@ def report_html(content: ReportInput) -> str:
 def _tiles(content: ReportInput) -> str:
     lane_map, recording = content.lane_map, content.recording
     confirmed = len(lane_map.confirmed)
+    tentative = len(lane_map.lanes) - confirmed
     tiles = [
         (str(confirmed), "lane confirmed" if confirmed == 1 else "lanes confirmed"),
-        (str(len(lane_map.lanes) - confirmed), "tentative"),
+        (str(tentative), "lane tentative" if tentative == 1 else "lanes tentative"),
         (f"{recording.track_count:,}", "vehicle tracks"),
         (_duration(recording.duration_s), "of traffic"),
     ]
-    tiles += [(f"{far:.0f} m", "is how far the camera sees lanes") for far in _range_m(content)[1:]]
+    tiles += [
+        (f"{far:.0f} m", "from the camera to the farthest lane seen")
+        for far in _range_m(content)[1:]
+    ]
     return (
         "<div class='tiles'>"
         + "".join(f"<div><b>{escape(a)}</b><span>{escape(b)}</span></div>" for a, b in tiles)
@@ -107,8 +113,11 @@ def _drawings(content: ReportInput) -> str:
         return ""
     paths = content.recording.paths()
     drawing, frame, drawn = map_view(lane_map, paths, content.truth or ())
+    shown = count(len(paths), "vehicle path")
+    if drawn < len(paths):
+        shown = f"{drawn} of {shown}"
     caption = [
-        f"{drawn} of {count(len(paths), 'vehicle path')}, coloured by direction of travel. "
+        f"{shown}, coloured by direction of travel. "
         "Filled lanes are confirmed, dashed ones tentative; arrows show the direction of travel.",
     ]
     if frame.stretch > 1:
@@ -147,8 +156,9 @@ def _histograms(content: ReportInput) -> str:
         for s in sections
     ]
     note = (
-        "<p>Where across the road the vehicles drive, one drawing per direction of travel. "
-        "Vertical lines are the peaks that became lanes, with the distance to the next one.</p>"
+        "<p>Where across the road the vehicles drive, one drawing per direction of travel, at the "
+        "place where most vehicles were seen. Dashed lines are the middles of lanes. The "
+        "figures between them are the distances from lane to lane.</p>"
     )
     return _section("Across the road", note + "".join(figures))
 
@@ -158,10 +168,10 @@ def _calibration(content: ReportInput) -> str:
     used = residual.inlier
     error_m = residual.ground_error_m[used]
     sentence = (
-        f"{int(used.sum())} of {count(len(used), 'control point')} used. Their error is "
+        f"{int(used.sum())} of {count(len(used), 'control point')} used. Their median error is "
         f"{number(float(np.median(residual.pixel_error[used])))} px in the image and "
-        f"{number(float(np.median(error_m)), 3)} m on the road in the middle, "
-        f"{number(float(error_m.max()), 3)} m at worst."
+        f"{number(float(np.median(error_m)), 3)} m on the road; the largest is "
+        f"{number(float(error_m.max()), 3)} m."
     )
     return _section(
         "Calibration",
@@ -192,7 +202,7 @@ def _section(title: str, body: str) -> str:
 
 def _figure(svg: str, caption: str, css: str) -> str:
     note = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
-    return f'<figure class="{css}">{svg}{note}</figure>'
+    return f'<figure class="{css}"><div class="drawing">{svg}</div>{note}</figure>'
 
 
 def _list(sentences: Sequence[str]) -> str:

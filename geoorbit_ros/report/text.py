@@ -60,9 +60,9 @@ def score_sentences(score: LaneScore) -> list[str]:
     ]
     if score.confirmed:
         lines.append(
-            f"Centreline error {number(score.centerline_mean_m)} m on average, "
-            f"{number(score.centerline_p95_m)} m at 95 %; "
-            f"width error {number(score.width_error_m)} m; {score.coverage:.0%} of the length."
+            f"Centreline error {number(score.centerline_mean_m)} m on average, 95 % of it below "
+            f"{number(score.centerline_p95_m)} m; width error {number(score.width_error_m)} m; "
+            f"{score.coverage:.0%} of the length found."
         )
     for traffic, words in (
         ("busy", "8 vehicles or more"),

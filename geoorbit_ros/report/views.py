@@ -177,7 +177,7 @@ def _scale_bar(canvas: Canvas, frame: MapFrame) -> None:
 
 
 def _north(canvas: Canvas, frame: MapFrame) -> None:
-    middle = np.array([frame.size_px[0] - 26.0, 30.0])
+    middle = np.array([frame.size_px[0] - 40.0, 40.0])
     # The compass is not stretched: it shows the direction of north on the level road.
     north = frame.turn @ np.array([0.0, 1.0]) * np.array([1.0, -1.0])
     side = np.array([-north[1], north[0]])

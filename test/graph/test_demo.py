@@ -23,4 +23,4 @@ def test_the_demo_finds_every_lane_and_writes_its_page(tmp_path: Path) -> None:
     assert (out / "report.html").resolve().as_uri() in done.stdout
     lanes = read_lane_file(out / "lanes.geojson")
     assert len(lanes.lane_map.confirmed) == 4
-    assert "Against the truth" in (out / "report.html").read_text(encoding="utf-8")
+    assert "Compared with the true lanes" in (out / "report.html").read_text(encoding="utf-8")

@@ -98,7 +98,7 @@ def test_report_draws_given_lanes_and_scores_them(
     code, _, _ = run("report", *tracks, "--lanes", found, "--truth", camera.truth, "--out", out)
     page = out.read_text(encoding="utf-8")
     assert code == 0
-    assert "Against the truth" in page
+    assert "Compared with the true lanes" in page
     assert "2 of 2 lanes found" in page
 
 

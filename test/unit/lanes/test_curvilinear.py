@@ -54,6 +54,17 @@ def test_straight_road_at_any_heading(heading_deg: float) -> None:
         assert abs((lane.heading_deg - (90 - heading_deg) + 180) % 360 - 180) < 2.0
 
 
+def test_the_histogram_shows_lanes_that_spread_apart_at_one_place() -> None:
+    ramp = straight(0.08, -LANE_M)  # 11 m further away after 135 m
+    found = lanes_of(traffic([Stream(straight(0.0, 0.0), 16), Stream(ramp, 16)]))
+    (section,) = found.cross_sections
+    assert len(section.peak_m) == 2
+    for peak_m in section.peak_m:
+        beside = np.abs(section.offset_m - peak_m) < LANE_M / 2
+        here = np.interp(peak_m, section.offset_m, section.density)
+        assert here > 0.9 * section.density[beside].max()
+
+
 @pytest.mark.parametrize("radius_m", [250.0, -250.0, 80.0])
 def test_bends(radius_m: float) -> None:
     curves = [arc(radius_m, 0.4, k * LANE_M) for k in range(3)]

@@ -13,6 +13,7 @@ from geoorbit_ros.report.calibration_image import (
     ground_error_m,
     reach,
 )
+from geoorbit_ros.report.image_text import text_width
 
 SIZE = (1920, 1080)
 
@@ -47,3 +48,18 @@ def test_every_point_is_marked_where_it_was_clicked(plane: Homography) -> None:
     for x, y in plane.points.pixel:
         ring = changed[max(round(y) - 12, 0) : round(y) + 13, max(round(x) - 12, 0) : round(x) + 13]
         assert ring.sum() > 30
+
+
+def test_labels_of_points_at_the_right_border_are_not_cut(
+    plane: Homography, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ends: list[int] = []
+
+    def note(_: object, text: str, at: tuple[int, int], size: float, *_rest: object) -> None:
+        ends.append(at[0] + text_width(text, size))
+
+    monkeypatch.setattr("geoorbit_ros.report.calibration_image.write_text", note)
+    width = int(plane.points.pixel[:, 0].max()) + 20
+    draw_calibration(np.full((SIZE[1], width, 3), 90, np.uint8), plane)
+    assert len(ends) > len(plane.points)
+    assert max(ends) <= width

@@ -147,7 +147,7 @@ def test_the_page_is_there_without_truth_sections_and_visible_range() -> None:
     bare = replace(content(), truth=None)
     bare = replace(bare, lane_map=LaneMap(0, bare.lane_map.lanes))
     html = report_html(bare)
-    assert "Against the truth" not in html
+    assert "Compared with the true lanes" not in html
     assert "Across the road" not in html
 
 

@@ -31,6 +31,9 @@ from geoorbit_ros.lanes.estimators.curvilinear.widths import lane_widths, neighb
 from geoorbit_ros.lanes.estimators.estimator import State
 from geoorbit_ros.lanes.parameters import LaneParameters
 
+SECTION_M = 10.0
+"""Length of road from which a lateral histogram is taken. Chosen: longer blurs lanes that spread
+apart, as at a ramp; shorter shows single vehicles."""
 RETRACE = 0.1
 """Share of the evidence that must be new for the reference lines to be traced anew. Chosen: larger
 keeps early lines of few vehicles longer, smaller costs time at every derivation."""
@@ -159,7 +162,7 @@ def _cross_sections(
     profiles: Profiles,
     density: Density,
 ) -> tuple[CrossSection, ...]:
-    """The lateral histogram of each corridor with lanes, where most of its lanes are seen."""
+    """The lateral histogram of each corridor with lanes, where most of its vehicles are seen."""
     found = []
     for k in sorted({c.corridor for c in candidates}):
         lines = [c.line for c in candidates if c.corridor == k]
@@ -168,6 +171,8 @@ def _cross_sections(
             if candidate.corridor == k:
                 seen[candidate.line.station] += candidate.vehicles
         at = np.flatnonzero(seen == seen.max())
+        middle_m = profiles.station_m[at[len(at) // 2]]
+        at = at[np.abs(profiles.station_m[at] - middle_m) <= SECTION_M / 2]
         heading = corridors[k].reference_line.heading_at(profiles.station_m[at])
         peaks = [
             float(line.d[here].mean())
