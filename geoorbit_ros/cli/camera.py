@@ -49,7 +49,7 @@ def add(
     --fleet fleet.yaml --out north_check[/bold]
     """
     from geoorbit_ros.cli.camera_run import REPORT, CameraJob, open_camera, warm_up_detector
-    from geoorbit_ros.cli.console import console, print_lanes, say, status
+    from geoorbit_ros.cli.console import as_typed, console, print_lanes, say, status
     from geoorbit_ros.cli.inputs import load_calibration
     from geoorbit_ros.detection.detector import make_detector
     from geoorbit_ros.fleet.fleet_file import add_camera, check_new_camera
@@ -76,8 +76,7 @@ def add(
     print_lanes(job.lane_map, f"Lanes of {camera_id} after {duration:g} s")
     say(f"Look at {out / CALIBRATION_IMAGE} and {out / REPORT}.")
     console.print(
-        f" Camera {camera_id} is in {fleet}. To run it: geoorbit up {fleet} "
-        f"(in a clone: ./dev run up {fleet})",
+        f" Camera {camera_id} is in {fleet}. To run it: {as_typed(f'up {fleet}')}",
         soft_wrap=True,
     )
 

@@ -99,6 +99,11 @@ def say(text: str) -> None:
     console.print(Padding(text, (0, 0, 0, 1)))
 
 
+def as_typed(arguments: str) -> str:
+    """`geoorbit ARGUMENTS` as the user types it here: `./dev run ARGUMENTS` in a clone."""
+    return f"{os.environ.get('GEOORBIT_COMMAND', 'geoorbit')} {arguments}"
+
+
 def make_table(title: str, columns: str) -> Table:
     """An empty table; `columns` are its headings, `>` before one aligns it to the right."""
     from rich.box import SIMPLE_HEAD

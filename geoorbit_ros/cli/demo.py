@@ -25,7 +25,7 @@ def demo(
 
     Example: [bold]geoorbit demo --out geoorbit-demo[/bold]
     """
-    from geoorbit_ros.cli.console import console
+    from geoorbit_ros.cli.console import as_typed, console
     from geoorbit_ros.cli.replay import replay
     from geoorbit_ros.cli.report import report
     from geoorbit_ros.cli.score import score
@@ -36,13 +36,10 @@ def demo(
         folder / name for name in ("bag", "calibration.csv", "truth.geojson")
     )
     lanes, page = out / "lanes.geojson", out / "report.html"
-    console.print("A minute of tracked vehicles through the nodes bag_player, homography and")
-    console.print("lane_geometry; the bag's true lanes are known.\n")
+    console.print("A minute of simulated traffic goes through the nodes bag_player, homography and")
+    console.print("lane_geometry. Its true lanes are known, so the result can be compared.\n")
     replay(bag=bag, calibration=calibration, out=lanes, rate=rate)
     score(lanes, truth)
     report(calibration=calibration, out=page, bag=bag, lanes=lanes, truth=truth)
     console.print(f"\nOpen {page.resolve().as_uri()}", soft_wrap=True)
-    console.print(
-        "Next, with your own tracks.csv and calibration.csv: geoorbit lanes --help "
-        "(in a clone: ./dev run lanes --help)"
-    )
+    console.print(f"Next, with your own tracks and control points: {as_typed('lanes --help')}")

@@ -64,7 +64,7 @@ def train(
     Example: [bold]geoorbit train params/studies/small.yaml --rounds 20 --out study[/bold],
     then [bold]geoorbit evaluate --out study[/bold]
     """
-    from geoorbit_ros.cli.console import console
+    from geoorbit_ros.cli.console import as_typed, console
     from geoorbit_ros.learning.study import open_study
     from geoorbit_ros.learning.training import RunSettings
 
@@ -78,9 +78,8 @@ def train(
         encoding=encoding,
     )
     _train(study, names, [m.value for m in mode or list(ModeName)], range(seeds), settings)
-    then = f"evaluate --out {out}"
-    hint = f"next: geoorbit {then} (in a clone: ./dev run {then})"
-    console.print(f" Wrote {out}; {hint}", soft_wrap=True)
+    then = as_typed(f"evaluate --out {out}")
+    console.print(f" Wrote {out}. Next: {then}", soft_wrap=True)
 
 
 def _train(

@@ -93,7 +93,7 @@ def _watch(
     name: str, fleet: Fleet, plans: Sequence[ProcessPlan], folder: Path, duration_s: float | None
 ) -> None:
     """Keep the processes running until Ctrl-C, or for `duration_s`."""
-    from geoorbit_ros.cli.console import console, count_of
+    from geoorbit_ros.cli.console import as_typed, console, count_of
     from geoorbit_ros.cli.signals import told_to_end
     from geoorbit_ros.fleet.supervisor import Supervisor
 
@@ -110,9 +110,9 @@ def _watch(
     supervisor = Supervisor(plans, folder, environment, say)
     domain = environment.get("ROS_DOMAIN_ID") or os.environ.get("ROS_DOMAIN_ID", "0")
     number = count_of(len(plans), "process", "processes")
-    console.print(f"Fleet {fleet.name}: {number}, ROS domain {domain}, logs in")
-    console.print(f"{folder / 'logs'}. Ctrl-C ends it; `geoorbit status {name}` shows its state")
-    console.print(f"(in a clone: `./dev run status {name}`).")
+    console.print(f"Fleet {fleet.name}: {number}, ROS domain {domain}. Ctrl-C ends it.")
+    console.print(f"To see its state, in another terminal: {as_typed(f'status {name}')}")
+    console.print(f"Logs: {folder / 'logs'}", soft_wrap=True)
     announced = False
     with told_to_end() as end:
         try:

@@ -12,6 +12,7 @@ import pytest
 from geoorbit_ros import __version__
 from geoorbit_ros.cli import app as commands
 from geoorbit_ros.cli import main as cli
+from geoorbit_ros.cli.console import as_typed
 from geoorbit_ros.cli.lanes import lanes
 from geoorbit_ros.cli.report import report
 from geoorbit_ros.core.errors import InputFileError
@@ -35,6 +36,13 @@ def python(code: str) -> subprocess.CompletedProcess[str]:
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["--version"]) == 0
     assert capsys.readouterr().out == f"geoorbit {__version__}\n"
+
+
+def test_messages_name_the_command_as_it_was_called(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("GEOORBIT_COMMAND", raising=False)
+    assert as_typed("up fleet.yaml") == "geoorbit up fleet.yaml"
+    monkeypatch.setenv("GEOORBIT_COMMAND", "./dev run")
+    assert as_typed("up fleet.yaml") == "./dev run up fleet.yaml"
 
 
 def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
