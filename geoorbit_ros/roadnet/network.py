@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -42,7 +43,10 @@ class RoadNetwork:
         right: (L,) next lane to the right.
         start: (L + 1,) points of lane k are `point_m[start[k]:start[k + 1]]`.
         point_m: (P, 2) centre lines in travel order, map frame.
-        successors: (L,) lanes that each lane leads into, internal ones included.
+        successors: (L,) lanes that each lane leads into, internal ones included, but not those of
+            turnarounds.
+        turnarounds: (L,) lanes that each lane leads into only by turning round. netconvert lets
+            traffic turn round at every dead end, so at every end of an extract.
         left_hand: Whether traffic drives on the left.
     """
 
@@ -61,6 +65,7 @@ class RoadNetwork:
     start: NDArray[np.int64]
     point_m: NDArray[np.float64]
     successors: tuple[tuple[int, ...], ...]
+    turnarounds: tuple[tuple[int, ...], ...]
     left_hand: bool = False
 
     def __len__(self) -> int:
@@ -94,6 +99,32 @@ class RoadNetwork:
     def number(self) -> dict[str, int]:
         """Lane number by SUMO's lane id."""
         return {name: k for k, name in enumerate(self.lane_id)}
+
+    @cached_property
+    def turns_round(self) -> NDArray[np.bool_]:
+        """(L,) whether a lane is that of a turnaround inside a junction."""
+        inside = {k for nexts in self.turnarounds for k in nexts if self.internal[k]}
+        entered = {k for nexts in self.successors for k in nexts}
+        return np.array([k in inside - entered for k in range(len(self))], dtype=np.bool_)
+
+    @cached_property
+    def straight_on(self) -> tuple[int, ...]:
+        """(L,) of the lanes after each lane the one straight ahead; `NO_LANE` where none comes."""
+        begin, end = (np.array([self._heading(k, at) for k in range(len(self))]) for at in (0, -1))
+        ahead = np.where(self.internal, end, begin)  # a turn begins straight, and then turns
+
+        def turn(lane: int, after: int) -> float:
+            return abs(float((ahead[after] - end[lane] + np.pi) % (2.0 * np.pi) - np.pi))
+
+        return tuple(
+            min(nexts, key=lambda after, lane=lane: turn(lane, after), default=NO_LANE)
+            for lane, nexts in enumerate(self.successors)
+        )
+
+    def _heading(self, lane: int, at: int) -> float:
+        """Direction of a lane's first (0) or last (-1) piece, counter-clockwise from east."""
+        x, y = np.diff(self.line(lane), axis=0)[at]
+        return float(np.arctan2(y, x))
 
     @cached_property
     def predecessors(self) -> tuple[tuple[int, ...], ...]:
@@ -160,6 +191,26 @@ def _middle(
     return Datum(round(float(latitude), 7), round(float(longitude), 7))
 
 
+def _connections(
+    pairs: Mapping[tuple[int, int], bool], internal: Sequence[bool]
+) -> tuple[tuple[tuple[int, ...], ...], tuple[tuple[int, ...], ...]]:
+    """Successors and turnarounds of each lane.
+
+    A lane inside a junction that is entered by turnarounds only is a part of them.
+
+    Args:
+        pairs: By lane numbers (from, to), whether the file calls the connection a turnaround.
+        internal: Of each lane.
+    """
+    ways: tuple[list[list[int]], list[list[int]]] = ([[] for _ in internal], [[] for _ in internal])
+    entered = {b for (_, b), turns in pairs.items() if not turns}
+    around = {b for (_, b), turns in pairs.items() if turns and internal[b]} - entered
+    for (a, b), turns in pairs.items():
+        ways[turns or a in around][a].append(b)
+    successors, turnarounds = (tuple(map(tuple, way)) for way in ways)
+    return successors, turnarounds
+
+
 def _assemble(
     path: Path,
     datum: Datum,
@@ -169,10 +220,8 @@ def _assemble(
     lanes = content.lanes
     number = {lane.lane_id: k for k, lane in enumerate(lanes)}
     by_place = {(lane.edge_id, lane.index): k for k, lane in enumerate(lanes)}
-    successors: list[list[int]] = [[] for _ in lanes]
-    for source, target in content.links:
-        if number[target] not in successors[number[source]]:
-            successors[number[source]].append(number[target])
+    pairs = {(number[k.source], number[k.target]): k.turns_round for k in content.links}
+    successors, turnarounds = _connections(pairs, [lane.internal for lane in lanes])
     start = np.append(0, np.cumsum([len(lane.shape) for lane in lanes])).astype(np.int64)
     point_m = plane.to_map.points(np.concatenate([lane.shape for lane in lanes]))
     step = np.hypot(*np.diff(point_m, axis=0).T)
@@ -199,6 +248,7 @@ def _assemble(
         right=beside(-inwards),
         start=start,
         point_m=point_m,
-        successors=tuple(tuple(nexts) for nexts in successors),
+        successors=successors,
+        turnarounds=turnarounds,
         left_hand=content.left_hand,
     )

@@ -18,6 +18,9 @@ DEFAULT_WIDTH_M = 3.2
 _ROAD_CLASSES = frozenset(
     {"private", "passenger", "taxi", "bus", "coach", "delivery", "truck", "trailer", "motorcycle"}
 )
+_TURNAROUND = frozenset({"t", "T"})
+"""Directions of a connection that turns round, in right-hand and left-hand networks (SUMO user
+documentation, SUMO Road Networks)."""
 _EXPECTED = "a SUMO network (.net.xml or .net.xml.gz)"
 
 
@@ -47,19 +50,34 @@ class LaneRecord:
 
 
 @dataclass(frozen=True, slots=True)
+class Link:
+    """A connection from one lane to the next, by their ids.
+
+    Attributes:
+        source: Where it begins.
+        target: Where it leads; an internal lane where the connection passes one.
+        turns_round: Whether it leads back along the same road.
+    """
+
+    source: str
+    target: str
+    turns_round: bool
+
+
+@dataclass(frozen=True, slots=True)
 class NetworkContent:
     """What a network file holds.
 
     Attributes:
         lanes: Lanes that road vehicles may use.
-        links: Lane ids (from, to), through internal lanes where there are any.
+        links: Connections, through internal lanes where there are any.
         projection: PROJ definition; empty when the network has none.
         net_offset: (x, y) added to projected coordinates.
         left_hand: Whether traffic drives on the left.
     """
 
     lanes: tuple[LaneRecord, ...]
-    links: tuple[tuple[str, str], ...]
+    links: tuple[Link, ...]
     projection: str
     net_offset: tuple[float, float]
     left_hand: bool
@@ -149,7 +167,7 @@ def _carries_vehicles(lane: Xml.Element) -> bool:
     return disallow is None or not (disallow == "all" or _ROAD_CLASSES.issubset(disallow.split()))
 
 
-def _links(root: Xml.Element, known: set[str]) -> list[tuple[str, str]]:
+def _links(root: Xml.Element, known: set[str]) -> list[Link]:
     """Each connection as two links where it passes an internal lane that is in the file.
 
     The file also lists the connections from internal lanes on, so each is taken up to its `via`.
@@ -160,5 +178,5 @@ def _links(root: Xml.Element, known: set[str]) -> list[tuple[str, str]]:
         via = c.get("via", "")
         for end in (via,) if via in known else (target,):
             if source in known and end in known:
-                links.append((source, end))
+                links.append(Link(source, end, c.get("dir") in _TURNAROUND))
     return links

@@ -26,20 +26,28 @@ class RouteFinder:
         self._network = network
         self._lanes: dict[str, list[int]] = {}
         self._after: dict[str, set[str]] = {}
+        self._around: dict[str, set[str]] = {}
         for lane in range(len(network)):
             edge = network.edge_id[lane]
             self._lanes.setdefault(edge, []).append(lane)
             for after in network.successors[lane]:
                 self._after.setdefault(edge, set()).add(network.edge_id[after])
+            for after in network.turnarounds[lane]:
+                self._around.setdefault(edge, set()).update(self._beyond(after))
         self._internal = {
             edge for edge, inside in zip(network.edge_id, network.internal, strict=True) if inside
         }
 
     def complete(self, edges: list[str]) -> list[str] | None:
-        """The edges with those between them; None where no route leads on."""
+        """The edges with those between them; None where no route leads on.
+
+        Turnarounds count only where both of their edges are among the given ones.
+        """
         route = edges[:1]
         for target in edges[1:]:
             between = self._shortest(route[-1], target)
+            if between is None and target in self._around.get(route[-1], ()):
+                between = [target]
             if between is None:
                 return None
             route += [edge for edge in between if edge not in self._internal]
@@ -57,6 +65,14 @@ class RouteFinder:
                 after = self._network.edge_id[lane]
                 found[after] = found.get(after, 0) + 1
         return dict(sorted(found.items()))
+
+    def _beyond(self, lane: int) -> set[str]:
+        """Edges that a lane belongs or leads to, beyond the junction that it may lie in."""
+        network = self._network
+        if not network.internal[lane]:
+            return {network.edge_id[lane]}
+        nexts = (*network.successors[lane], *network.turnarounds[lane])
+        return {edge for after in nexts for edge in self._beyond(after)}
 
     def _shortest(self, begin: str, end: str) -> list[str] | None:
         waiting = deque([[begin]])
@@ -100,7 +116,8 @@ def position_ahead(
 ) -> LanePosition:
     """The position at `arc_m` of a lane, which may lie beyond its end in a lane after it.
 
-    Where lanes part, the one that leads nearest to `towards` is taken; without it, the first.
+    Where lanes part, the one that leads nearest to `towards` is taken; without it, the one straight
+    ahead. It never turns round: that only a simulator does where the network ends.
 
     Args:
         network: The network.
@@ -116,7 +133,7 @@ def position_ahead(
         arc_m -= float(network.length_m[lane])
         choice = network.successors[lane]
         if towards is None or len(choice) == 1:
-            lane = choice[0]
+            lane = network.straight_on[lane]
         else:
             ends = [position_ahead(network, c, arc_m, 0.0, towards).xy for c in choice]
             lane = choice[int(np.argmin([np.hypot(*(end - towards)) for end in ends]))]

@@ -16,6 +16,9 @@ and noise of 0.15 m on the line causes none; less changes lanes too often, more 
 BACKWARDS = 1.0
 """Cost of falling back into the lane before. Chosen: positions at the end of a lane do so by noise;
 less lets vehicles jump back at forks, more keeps them in a wrong lane."""
+TURNAROUND = 4.0
+"""Cost of turning round where the network lets a simulator do so. Chosen: two lane changes; less
+puts vehicles that leave the network on the turn, more loses those that are seen to turn."""
 UNRELATED = 9.0
 """Cost of a move to a lane that is not connected. Chosen: more than four lane changes; less follows
 jumps of tracks, more keeps a vehicle on a wrong road for longer."""
@@ -46,6 +49,7 @@ class LaneLinks:
             along = {lane: 0.0}
             _follow(network, lane, network.successors, 0.0, along)
             _follow(network, lane, network.predecessors, BACKWARDS, along)
+            _follow(network, lane, network.turnarounds, TURNAROUND, along)
             for other, cost in _with_neighbours(network, along).items():
                 costs[lane * self._count + other] = cost
         pairs = sorted(costs)

@@ -37,7 +37,8 @@ class TwinStep:
         size_m: (M, 2) length and width.
         sigma_m: (M,) 1-sigma ground error of the tracks.
         kind: (M,) number in `vehicles.TYPES`.
-        lane: (M,) lane number that SUMO has it in, by its front; `NO_LANE` beside the network.
+        lane: (M,) lane number that SUMO has it in, by its front; `NO_LANE` beside the network, and
+            where SUMO counts a vehicle that leaves the network to the turnaround at its end.
         wanted_lane: (M,) lane number that it was put on; `NO_LANE` beside every lane, where SUMO
             may count it to the nearest lane or to none.
         observed: (M,) whether a camera saw it; otherwise it goes on along its lane.
@@ -188,6 +189,8 @@ class Placement:
         front = plane.to_map.points(states.xy)
         heading = 0.5 * np.pi - np.radians(states.angle_deg) + plane.to_map.turn_rad(states.xy)
         heading = (heading + np.pi) % (2 * np.pi) - np.pi
+        seen_in = np.array([number.get(name, NO_LANE) for name in states.lane], dtype=np.int64)
+        leaves = self._network.turns_round[seen_in] & (seen_in != NO_LANE) & (lane != seen_in)
         return TwinStep(
             stamp_ns=now_ns,
             vehicle_id=rows["vehicle_id"],
@@ -197,7 +200,7 @@ class Placement:
             size_m=np.column_stack((rows["sim_length"], rows["sim_width"])),
             sigma_m=rows["sigma"],
             kind=rows["sim_kind"],
-            lane=np.array([number.get(name, NO_LANE) for name in states.lane], dtype=np.int64),
+            lane=np.where(leaves, NO_LANE, seen_in),
             wanted_lane=np.where(rows["within"], lane, NO_LANE),
             observed=rows["observed"],
             cameras=rows["cameras"],
