@@ -38,8 +38,9 @@ def up(
 ) -> None:
     """Start every process of a fleet, watch them, and replace those that end or hang.
 
-    Each camera's nodes share a process; the federated server and the twin have their own. Ctrl-C
-    ends all of them within five seconds. [bold]geoorbit status[/bold] shows how they are, from
+    Each camera's nodes share a process; the federated server and the twin have their own. A process
+    that can't use what the file gives it is told once and left out. Ctrl-C ends all of them within
+    five seconds. [bold]geoorbit status[/bold] shows how they are, from
     another terminal.
 
     Example: [bold]geoorbit up demo[/bold]
@@ -120,13 +121,18 @@ def _watch(
                 if duration_s is not None and time.monotonic() - began > duration_s:
                     break
                 supervisor.step(STEP_S)
-                if supervisor.all_running and not announced:
+                if len(refused := supervisor.refused) == len(plans):
+                    break
+                if not announced and supervisor.settled:
                     announced = True
-                    say("fleet", f"{number} started")
+                    without = f", without {', '.join(refused)}" if refused else ""
+                    say("fleet", f"{len(plans) - len(refused)} of {number} started{without}")
         finally:
             ending = time.monotonic()
             supervisor.stop()
             say("fleet", f"stopped in {time.monotonic() - ending:.1f} s")
+    if supervisor.refused:
+        raise typer.Exit(2)
 
 
 def _print_plan(fleet: Fleet, plans: Sequence[ProcessPlan], folder: Path) -> None:

@@ -59,16 +59,19 @@ class Timing:
     kill_s: float = 4.5
 
 
+EXIT_REFUSED = 2
+"""Status of a process whose nodes can't start with what the user gave (`run_nodes`)."""
 LAST_LINE_BYTES = 2000
 """How much of a log's end is searched for the last thing a process said. Chosen: a few lines."""
 
 
 class State(Enum):
-    """Of a process."""
+    """Of a process; REFUSED: what the user gave it can't be used, so that it never ran."""
 
     WAITING = "waiting"
     STARTING = "starting"
     RUNNING = "running"
+    REFUSED = "refused"
     STOPPED = "stopped"
 
 
@@ -79,6 +82,7 @@ class Member:
     Attributes:
         plan: What runs in it.
         state: What it does.
+        ran: Whether it ever ran.
         restarts: How often it was replaced.
         last_end: Why it last ended, as words; empty: it never did.
         process: The running one, None between two.
@@ -91,6 +95,7 @@ class Member:
 
     plan: ProcessPlan
     state: State = State.WAITING
+    ran: bool = False
     restarts: int = 0
     last_end: str = ""
     process: subprocess.Popen[bytes] | None = None
@@ -141,6 +146,17 @@ class Supervisor:
         """Whether every process has shown that it lives."""
         return all(member.state is State.RUNNING for member in self.members.values())
 
+    @property
+    def settled(self) -> bool:
+        """Whether every process runs or was refused."""
+        known = (State.RUNNING, State.REFUSED)
+        return all(member.state in known for member in self.members.values())
+
+    @property
+    def refused(self) -> tuple[str, ...]:
+        """Processes that can't start with what the user gave."""
+        return tuple(n for n, member in self.members.items() if member.state is State.REFUSED)
+
     def step(self, timeout_s: float) -> None:
         """Do what is due: start, replace, take heartbeats. Returns after `timeout_s` at most."""
         for key, _ in self._selector.select(timeout_s):
@@ -155,7 +171,8 @@ class Supervisor:
                 self._start(member, now)
                 free -= 1
             # A member that is being replaced does not hold up the others.
-            if member.plan.first and member.state is not State.RUNNING and member.restarts == 0:
+            held = member.state in (State.WAITING, State.STARTING) and member.restarts == 0
+            if member.plan.first and held:
                 break
 
     def stop(self) -> None:
@@ -219,14 +236,14 @@ class Supervisor:
             return
         member.beat_s = time.monotonic()
         if member.state is State.STARTING:
-            member.state = State.RUNNING
+            member.state, member.ran = State.RUNNING, True
             self._on_event(
                 member.plan.name, f"running after {member.beat_s - member.since_s:.1f} s"
             )
 
     def _watch(self, member: Member, now: float) -> None:
         process = member.process
-        if process is None or member.state is State.WAITING:
+        if process is None or member.state in (State.WAITING, State.REFUSED):
             return
         status = process.poll()
         if status is None:
@@ -239,6 +256,14 @@ class Supervisor:
             reason = f"no heartbeat for {limit:g} s, ended by force"
         else:
             reason = f"ended by {signal.Signals(-status).name}" if status < 0 else f"exit {status}"
+        hint = "" if status is None or status < 0 else f": {self._last_line(member.plan.name)}"
+        # Refused before it ever ran: that is the user's to change, and would be refused again. One
+        # that has run before may find its port or file in use for a moment.
+        if status == EXIT_REFUSED and not member.ran:
+            self._close_pipe(member)
+            member.process, member.state, member.last_end = None, State.REFUSED, reason
+            self._on_event(member.plan.name, f"can't start{hint}; it is left out")
+            return
         if now - member.since_s > self._timing.steady_s:
             member.back_off_s = 0.0
         member.back_off_s = max(member.back_off_s, self._timing.first_back_off_s)
@@ -246,7 +271,6 @@ class Supervisor:
         member.process, member.state, member.last_end = None, State.WAITING, reason
         member.restarts += 1
         member.due_s = now + member.back_off_s
-        hint = "" if status is None or status < 0 else f": {self._last_line(member.plan.name)}"
         self._on_event(member.plan.name, f"{reason}{hint}; again in {member.back_off_s:g} s")
         member.back_off_s = min(2.0 * member.back_off_s, self._timing.last_back_off_s)
 

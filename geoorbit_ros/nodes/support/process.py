@@ -61,14 +61,16 @@ def run_nodes(
         for node in nodes:
             node.told_to_end = True
 
-    def go_on() -> bool:
-        return not received and goes_on(nodes)
+    def told_to_end() -> bool:
+        return bool(received)
 
     for number in SIGNALS:
         signal.signal(number, note)
     try:
         with ExitStack() as stack:
-            _spin(stack, makers, nodes, go_on, args)
+            _make(stack, makers, nodes, told_to_end, args)
+            if not told_to_end():
+                _spin(nodes, lambda: not told_to_end() and goes_on(nodes))
     except ExternalShutdownException:
         return 0
     except GeoOrbitError as error:
@@ -80,31 +82,32 @@ def run_nodes(
     return 0
 
 
-def _spin(
+def _make(
     stack: ExitStack,
     makers: Sequence[Callable[[], GeoOrbitNode[Any]]],
     nodes: list[GeoOrbitNode[Any]],
-    go_on: Callable[[], bool],
+    told_to_end: Callable[[], bool],
     args: Sequence[str] | None,
 ) -> None:
-    """Make the nodes and spin them; `stack` takes them down, the last one first.
-
-    Signals only set a flag, which this looks at between two callbacks. rclpy's own handler would
-    end the context at once, also in the middle of a callback or while a node is made, and what
-    uses the context then fails or aborts the process.
-    """
+    """Make the nodes; `stack` takes them down, the last one first."""
     stack.callback(rclpy.try_shutdown)
-    rclpy.init(
-        args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO
-    )
-    executor = make_executor()
+    # Signals only set a flag, which is looked at between two callbacks. rclpy's own handler would
+    # end the context at once, also in the middle of a callback or while a node is made, and what
+    # uses the context then fails or aborts the process.
+    no_signals = SignalHandlerOptions.NO
+    rclpy.init(args=None if args is None else list(args), signal_handler_options=no_signals)
     for make in makers:
+        if told_to_end():
+            return
         nodes.append(node := make())
         stack.callback(node.destroy_node)
         stack.callback(node.close)
+
+
+def _spin(nodes: Sequence[GeoOrbitNode[Any]], go_on: Callable[[], bool]) -> None:
+    executor = make_executor()
+    for node in nodes:
         executor.add_node(node)
-        if not go_on():
-            return
     # What lives from here on stays: the collector need not look through it in the middle of a
     # frame, which takes tens of milliseconds with all that is imported.
     gc.collect()

@@ -25,6 +25,9 @@ BEHAVIOURS = {
     "hangs": "beat(); time.sleep(60)",
     "mute": "time.sleep(60)",
     "fails": "beat(); print('no such camera', flush=True); sys.exit(2)",
+    "refused": "print('no such camera', flush=True); sys.exit(2)",
+    "later": "f = sys.argv[2]\nran = os.path.exists(f)\n"
+    "if not ran: open(f, 'w').close(); beat()\nsys.exit(2)",
     "tells": "say = os.environ\n"
     "print(say['MALLOC_ARENA_MAX'], say['MALLOC_TRIM_THRESHOLD_'], flush=True)\n"
     "while True: beat(); time.sleep(0.02)",
@@ -43,7 +46,8 @@ def make(tmp_path: Path) -> Iterator[Make]:
     def build(*names: str, timing: Timing = QUICK, first: Sequence[str] = ()) -> Supervisor:
         def command(plan_file: Path, descriptor: int) -> list[str]:
             behaviour = BEHAVIOURS[plan_file.stem.partition("_")[0]]
-            return [sys.executable, "-c", PROGRAM + behaviour, str(descriptor)]
+            mark = str(plan_file.with_suffix(".ran"))
+            return [sys.executable, "-c", PROGRAM + behaviour, str(descriptor), mark]
 
         made.append(
             Supervisor(
@@ -91,6 +95,23 @@ def test_what_others_need_runs_before_they_start(make: Make) -> None:
     run_until(supervisor, lambda: supervisor.all_running)
     order = [name for name, text in events if "running" in text or text.startswith("started")]
     assert order == ["steady_a"] * 2 + ["steady_b"] * 2 + ["steady_c"] * 2
+
+
+def test_what_is_refused_before_it_ran_is_told_once_and_holds_up_nobody(make: Make) -> None:
+    supervisor = make("refused_a", "steady_b", first=["refused_a"])
+    run_until(supervisor, lambda: supervisor.settled)
+    for _ in range(20):
+        supervisor.step(0.02)
+    assert supervisor.refused == ("refused_a",)
+    assert not supervisor.all_running
+    told = [text for name, text in events if name == "refused_a"]
+    assert told[1:] == ["can't start: no such camera; it is left out"]
+
+
+def test_what_ran_before_is_started_again_whatever_it_says(make: Make) -> None:
+    supervisor = make("later_a")
+    run_until(supervisor, lambda: supervisor.members["later_a"].restarts >= 3)
+    assert supervisor.refused == ()
 
 
 def test_no_more_processes_start_at_once_than_there_are_cores(
