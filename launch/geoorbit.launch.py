@@ -19,6 +19,7 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
+from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.fleet.fleet_file import load_fleet
 from geoorbit_ros.fleet.prepare import prepare
 
@@ -57,7 +58,29 @@ def choose(context: LaunchContext) -> list[Node]:
     """The nodes of the fleet where one is named, else those of one camera."""
     fleet = LaunchConfiguration("fleet").perform(context)
     out = LaunchConfiguration("out").perform(context)
-    return fleet_nodes(fleet, out) if fleet else one_camera_nodes()
+    if fleet:
+        return fleet_nodes(fleet, out)
+    names = ("camera_id", "calibration", "source", "bag")
+    check_one_camera(*(LaunchConfiguration(name).perform(context) for name in names))
+    return one_camera_nodes()
+
+
+def check_one_camera(camera_id: str, calibration: str, source: str, bag: str) -> None:
+    """Say what is missing before any node starts.
+
+    Raises:
+        ParameterError: An argument that one camera needs is empty, or names no file.
+    """
+    if not camera_id:
+        raise ParameterError("launch argument 'camera_id'", "nothing", "a name such as north")
+    if not Path(calibration).is_file():
+        found = f"no file '{calibration}'" if calibration else "nothing"
+        raise ParameterError("launch argument 'calibration'", found, "a CSV file of control points")
+    if bool(source) == bool(bag):
+        found = "both" if bag else "neither"
+        raise ParameterError("launch arguments 'source', 'bag'", found, "one of them")
+    if bag and not Path(bag).exists():
+        raise ParameterError("launch argument 'bag'", f"no file '{bag}'", "a bag")
 
 
 def fleet_nodes(fleet: str, out: str) -> list[Node]:

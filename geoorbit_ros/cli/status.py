@@ -165,4 +165,4 @@ def _short(value: str) -> str:
 
 
 def _mark(row: Row) -> str:
-    return "[green]●[/green]" if row.healthy else "[red]●[/red]"
+    return "[green]ok[/green]" if row.healthy else "[bold red]fault[/bold red]"

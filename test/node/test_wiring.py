@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from made_up_camera import MadeUpCamera
 
+from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.fleet.fleet_file import load_fleet
 from geoorbit_ros.fleet.plan import plan_fleet
 from geoorbit_ros.nodes.bag_player import BagPlayerNode
@@ -97,6 +98,40 @@ def test_the_launch_file_declares_what_it_uses_and_uses_what_it_declares(
     text = (ROOT / "launch" / "geoorbit.launch.py").read_text()
     used = set(re.findall(r'LaunchConfiguration\("(\w+)"\)', text))
     assert used == declared
+
+
+@pytest.mark.parametrize(
+    ("camera_id", "calibration", "source", "bag", "said"),
+    [
+        ("", "c.csv", "a.mp4", "", "'camera_id': found nothing"),
+        ("north", "", "a.mp4", "", "'calibration': found nothing"),
+        ("north", "nowhere.csv", "a.mp4", "", "no file 'nowhere.csv'"),
+        ("north", "c.csv", "", "", "'source', 'bag': found neither"),
+        ("north", "c.csv", "a.mp4", "a_bag", "'source', 'bag': found both"),
+        ("north", "c.csv", "", "a_bag", "no file 'a_bag'"),
+    ],
+)
+def test_what_a_launch_lacks_is_said_before_any_node_starts(
+    launch_file: ModuleType,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    camera_id: str,
+    calibration: str,
+    source: str,
+    bag: str,
+    said: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("c.csv").touch()
+    with pytest.raises(ParameterError, match=said):
+        launch_file.check_one_camera(camera_id, calibration, source, bag)
+
+
+def test_a_launch_with_all_that_one_camera_needs_goes_on(
+    launch_file: ModuleType, camera: MadeUpCamera
+) -> None:
+    launch_file.check_one_camera("north", str(camera.calibration), "rtsp://host/stream", "")
+    launch_file.check_one_camera("north", str(camera.calibration), "", str(camera.bag))
 
 
 def test_launch_makes_the_graph_of_geoorbit_up_from_the_same_file(
