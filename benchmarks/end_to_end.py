@@ -25,8 +25,9 @@ from rich.table import Table
 
 from geoorbit_ros.calibration.control_points import read_control_points
 from geoorbit_ros.calibration.homography import fit_homography
-from geoorbit_ros.cli.camera_run import CameraRun, WatchedMapper, warm_up_detector
+from geoorbit_ros.cli.camera_run import CameraRun, WatchedMapper
 from geoorbit_ros.cli.console import error_console, make_progress
+from geoorbit_ros.cli.images import warm_up_detector
 from geoorbit_ros.core.errors import NoTrafficError
 from geoorbit_ros.detection.detector import make_detector
 from geoorbit_ros.lanes.estimators.estimator import make_estimator

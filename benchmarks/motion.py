@@ -27,8 +27,8 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from end_to_end import filmed
-from geoorbit_ros.cli.camera_run import warm_up_detector
 from geoorbit_ros.cli.console import error_console, make_progress
+from geoorbit_ros.cli.images import warm_up_detector
 from geoorbit_ros.core.tables import FLAG_TRUNCATED, PIXEL_TRACK_DTYPE
 from geoorbit_ros.detection.motion.detector import MotionDetector
 from geoorbit_ros.scenes.scene import shipped_scenes

@@ -48,13 +48,28 @@ def add(
     Example: [bold]geoorbit camera add north.mp4 --calibration north.csv --camera-id north
     --fleet fleet.yaml --out north_check[/bold]
     """
-    from geoorbit_ros.cli.camera_run import REPORT, CameraJob, open_camera, warm_up_detector
-    from geoorbit_ros.cli.console import as_typed, console, print_lanes, say, status
+    from geoorbit_ros.cli.camera_run import REPORT, CameraJob
+    from geoorbit_ros.cli.console import (
+        as_typed,
+        console,
+        print_lanes,
+        print_remarks,
+        say,
+        status,
+    )
+    from geoorbit_ros.cli.images import (
+        ImageOptions,
+        check_images,
+        first_image,
+        open_camera,
+        warm_up_detector,
+    )
     from geoorbit_ros.cli.inputs import load_calibration
     from geoorbit_ros.detection.detector import make_detector
     from geoorbit_ros.fleet.fleet_file import add_camera, check_new_camera
     from geoorbit_ros.scenes.output import check_new_folder
     from geoorbit_ros.storage.atomic import atomic_output
+    from geoorbit_ros.storage.frames.source import LeftOut
 
     if not replace:
         check_new_folder(out)
@@ -63,16 +78,21 @@ def add(
     with status("loading"):
         detector = make_detector(model)
     job = CameraJob(camera_id, calibration, homography, origin, detector)
+    left_out = LeftOut()
+    options = ImageOptions(duration_s=duration, left_out=left_out)
     with (
-        open_camera(source, None, duration) as images,
+        open_camera(source, options) as images,
         atomic_output(out, overwrite=replace) as folder,
     ):
         folder.mkdir()
-        warm_up_detector(detector, images, duration)
-        _show_calibration(homography, next(iter(images))[1], folder / CALIBRATION_IMAGE)
+        warm_up_detector(detector, images, duration, left_out)
+        _show_calibration(homography, first_image(images), folder / CALIBRATION_IMAGE)
+        left_out.clear()
         job.find_lanes(images, duration)
-        job.write(folder)
+        check_images(images, left_out, len(job.run.seen))
+        job.write(folder, images)
         add_camera(fleet, _entry(job, source, model, fleet), replace=replace)
+    print_remarks(images.remarks)
     print_lanes(job.lane_map, f"Lanes of {camera_id} after {duration:g} s")
     say(f"Look at {out / CALIBRATION_IMAGE} and {out / REPORT}.")
     console.print(

@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from geoorbit_ros.calibration.box_projector import BoxProjector
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.calibration.homography import Homography
+from geoorbit_ros.cli.images import DEFAULT_FPS, DetectionRun, shown_images
 from geoorbit_ros.cli.inputs import DEFAULT_ESTIMATOR, CameraInput
 from geoorbit_ros.cli.report import describe_method, save_report
-from geoorbit_ros.core.errors import NoTrafficError, ParameterError
-from geoorbit_ros.core.input_report import InputReport
+from geoorbit_ros.core.errors import NoTrafficError
+from geoorbit_ros.core.input_report import InputReport, Treatment
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.core.tables import FLAG_PREDICTED, PIXEL_TRACK_DTYPE, Frames
 from geoorbit_ros.detection.detector import Detector
@@ -31,88 +32,9 @@ from geoorbit_ros.storage.frames.source import FrameSource, StampedImage
 from geoorbit_ros.storage.frames.video_writer import VideoWriter
 from geoorbit_ros.storage.track_csv import write_track_csv
 from geoorbit_ros.tracking.parameters import TrackerParameters
-from geoorbit_ros.tracking.tracker import VehicleTracker, make_tracker
+from geoorbit_ros.tracking.tracker import make_tracker
 
 TRACKS_CSV, LANES, REPORT = "tracks.csv", "lanes.geojson", "report.html"
-
-SPACING_S = 0.25
-"""Time between the images of a warm-up. Chosen: smaller, the warm-up takes longer; larger, a
-vehicle that stops for a moment looks like the road."""
-LONGEST_S = 120.0
-"""Length of a warm-up; of a longer recording, the beginning is used. Chosen: larger, the command
-starts later; smaller, a queue that stands the whole time looks like the road."""
-DEFAULT_FPS = 25.0
-"""Frame rate where a source has none of its own: of the annotated video, and to estimate how far a
-command is. It has no influence on tracks and lanes, which go by the stamps."""
-
-
-def open_images(source: str, fps: float | None, duration_s: float | None) -> FrameSource:
-    """A source as a user names it, scenes included.
-
-    Raises:
-        GeoOrbitError: It can't be opened, or is a stream and no duration is given.
-    """
-    from geoorbit_ros.cli.console import error_console, status
-    from geoorbit_ros.rendering.frame_source import SCENES
-    from geoorbit_ros.storage.frames.open_source import open_frame_source
-    from geoorbit_ros.storage.frames.source import SourceOptions
-
-    options = SourceOptions(fps=fps, report=lambda text: error_console.print(text, style="dim"))
-    with status("opening"):
-        images = open_frame_source(source, options, SCENES)
-    if images.live and duration_s is None:
-        raise ParameterError("option --duration", "none for a stream", "how many seconds to take")
-    return images
-
-
-def open_camera(source: str, fps: float | None, duration_s: float | None) -> FrameSource:
-    """As `open_images`; a stream is read in a thread, so that none of its images waits in it."""
-    from geoorbit_ros.storage.frames.feed import LiveFrames
-
-    images = open_images(source, fps, duration_s)
-    return LiveFrames(images) if images.live else images
-
-
-def shown_images(
-    images: FrameSource, duration_s: float | None, what: str
-) -> Iterator[StampedImage]:
-    """The images of the first `duration_s` under a progress bar that says `what` is done."""
-    from geoorbit_ros.cli.console import track
-
-    counts = [images.frame_count] if images.frame_count else []
-    if duration_s is not None and (images.fps or images.live):
-        counts.append(round(duration_s * (images.fps or DEFAULT_FPS)))
-    first_ns: int | None = None
-    for stamp_ns, image in track(images, what, min(counts, default=None)):
-        first_ns = stamp_ns if first_ns is None else first_ns
-        if duration_s is not None and stamp_ns - first_ns >= duration_s * 1e9:
-            return
-        yield stamp_ns, image
-
-
-def warm_up_detector(detector: Detector, images: FrameSource, duration_s: float | None) -> None:
-    """Let the detector see a recording once, under a progress bar; a stream can't be seen twice.
-
-    A detector that learns nothing takes no image, so that nothing is read.
-    """
-    if not images.live:
-        detector.warm_up(_some(images, min(duration_s or LONGEST_S, LONGEST_S)))
-
-
-def _some(images: FrameSource, duration_s: float) -> Iterator[StampedImage]:
-    from geoorbit_ros.cli.console import track
-
-    count = images.frame_count
-    if images.fps:
-        count = min(count or 10**9, round(duration_s * images.fps))
-    first_ns = last_ns = None
-    for stamp_ns, image in track(images, "learning the road", count):
-        first_ns = stamp_ns if first_ns is None else first_ns
-        if stamp_ns - first_ns >= duration_s * 1e9:
-            return
-        if last_ns is None or stamp_ns - last_ns >= SPACING_S * 1e9:
-            last_ns = stamp_ns
-            yield stamp_ns, image
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,21 +52,6 @@ class TrackedImage:
     image: NDArray[np.uint8]
     detections: NDArray[np.void]
     tracks: NDArray[np.void]
-
-
-def track_images(
-    frames: Iterable[tuple[int, NDArray[np.uint8]]], detector: Detector, tracker: VehicleTracker
-) -> Iterator[TrackedImage]:
-    """Detect and track frame by frame.
-
-    Args:
-        frames: Capture time and image, in time order.
-        detector: One that has seen no image yet.
-        tracker: One that has seen no frame yet.
-    """
-    for stamp_ns, image in frames:
-        detections = detector.detect(stamp_ns, image)
-        yield TrackedImage(stamp_ns, image, detections, tracker.update(stamp_ns, detections))
 
 
 class WatchedMapper(LaneMapper):
@@ -171,6 +78,7 @@ class CameraRun:
         homography: The road plane.
         detector: Finds vehicles.
         mapper: Is given the ground tracks by the caller; its latest map is drawn into the video.
+        detection: Runs the detector.
         image_size: (width, height) of the images, (0, 0) before the first.
         seen: Stamp, detections and tracks of every image so far.
     """
@@ -178,8 +86,12 @@ class CameraRun:
     homography: Homography
     detector: Detector
     mapper: WatchedMapper
+    detection: DetectionRun = field(init=False)
     image_size: tuple[int, int] = (0, 0)
     seen: list[tuple[int, NDArray[np.void], NDArray[np.void]]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.detection = DetectionRun(self.detector)
 
     def ground_tracks(
         self, images: Iterable[StampedImage], video: Path | None = None, fps: float = 25.0
@@ -194,8 +106,8 @@ class CameraRun:
         Raises:
             GeoOrbitError: No image, one that can't be used, or control points outside of it.
         """
-        images = iter(images)
-        first = next(images, None)
+        detected = self.detection.boxes(images)
+        first = next(detected, None)
         if first is None:
             raise NoTrafficError("images", "none", "at least one")
         width, height = self.image_size = (first[1].shape[1], first[1].shape[0])
@@ -207,7 +119,8 @@ class CameraRun:
             if video:
                 writer = files.enter_context(closing(VideoWriter(video, fps, self.image_size)))
             overlay = ImageOverlay(self.homography)
-            for seen in track_images(chain([first], images), self.detector, tracker):
+            for stamp_ns, image, boxes in chain([first], detected):
+                seen = TrackedImage(stamp_ns, image, boxes, tracker.update(stamp_ns, boxes))
                 self.seen.append((seen.stamp_ns, seen.detections, seen.tracks))
                 ground = projector.project(seen.stamp_ns, seen.tracks)
                 if writer:
@@ -279,8 +192,8 @@ class CameraJob:
         ground = self.run.ground_tracks(shown, video, images.fps or DEFAULT_FPS)
         self.lane_map = map_lanes(self._recording.tee(ground), self.run.mapper, images.name)
 
-    def write(self, folder: Path) -> None:
-        """Write tracks.csv, lanes.geojson and report.html of lanes that have been found."""
+    def write(self, folder: Path, images: FrameSource) -> None:
+        """Write tracks.csv, lanes.geojson and report.html of lanes that were found in images."""
         frames, tracks = self.run.track_frames(), folder / TRACKS_CSV
         write_track_csv(tracks, frames)
         write_lanes(
@@ -292,6 +205,8 @@ class CameraJob:
         )
         remarks = InputReport(str(tracks), "boxes", len(frames.rows))
         note_other_classes(remarks, frames)
+        for sentence in images.remarks.sentences():
+            remarks.note(Treatment.NOTED, sentence)
         camera = CameraInput(
             self.camera_id,
             tracks,

@@ -14,7 +14,9 @@ from geoorbit_ros.cli.inputs import (
     FpsOption,
     MinScoreOption,
     ModelOption,
+    ResumeOption,
     SourceArgument,
+    StrictImagesOption,
     parse_names,
 )
 from geoorbit_ros.core.errors import ParameterError
@@ -23,9 +25,9 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from geoorbit_ros.detection.detector import Detector
+    from geoorbit_ros.cli.images import DetectionRun
     from geoorbit_ros.detection.road_segments import RoadSegments
-    from geoorbit_ros.storage.frames.source import FrameSource
+    from geoorbit_ros.storage.frames.source import FrameSource, LeftOut
 
 
 def detect(
@@ -45,20 +47,31 @@ def detect(
         Path | None,
         typer.Option("--road-image", help="Also draw where vehicles drive, as a .png or .jpg."),
     ] = None,
+    resume: ResumeOption = False,
+    strict: StrictImagesOption = False,
     picture: Annotated[Path | None, typer.Option("--picture", hidden=True)] = None,
 ) -> None:
     """Find the vehicles in every image of a camera.
 
     Without a model, the camera must stand still: everything that moves on the road is a vehicle.
     A recording is looked at twice, first to learn the road. With [bold]--model[/bold], any YOLO
-    export to ONNX (v8, v10, 11, 12, 26, YOLOX) does.
+    export to ONNX (v8, v10, 11, 12, 26, YOLOX) does. Ctrl-C keeps what was found so far;
+    [bold]--resume[/bold] goes on from there.
 
     Example: [bold]geoorbit detect north.mp4 --out det.txt[/bold], then
     [bold]geoorbit track --detections det.txt --fps 25 --out tracks.txt[/bold]
     """
-    from geoorbit_ros.cli.camera_run import open_images, warm_up_detector
-    from geoorbit_ros.cli.console import console, error_console, status
+    from geoorbit_ros.cli.console import console, error_console, print_remarks, status
+    from geoorbit_ros.cli.images import (
+        DetectionRun,
+        EarlyEnd,
+        ImageOptions,
+        kept_boxes,
+        open_images,
+        warm_up_detector,
+    )
     from geoorbit_ros.detection.detector import DetectorSettings, make_detector, without_effect
+    from geoorbit_ros.storage.frames.source import LeftOut
     from geoorbit_ros.storage.mot_text import write_mot
 
     if picture:
@@ -67,45 +80,56 @@ def detect(
     if road_image and road_image.suffix.lower() not in (".png", ".jpg", ".jpeg"):
         expected = "a name that ends in .png or .jpg"
         raise ParameterError("option --road-image", str(road_image), expected)
-    names = parse_names(class_names)
-    with status("loading"):
-        settings = DetectorSettings(min_score, class_names=names)
-        detector = make_detector(model, settings)
-    if note := without_effect(detector, settings):
-        error_console.print(note, soft_wrap=True)
-    run = _Run(detector, road_image)
-    with open_images(source, fps, duration) as images:
-        warm_up_detector(detector, images, duration)
-        boxes = write_mot(out, run.frames(images, duration))
-    console.print(f" {boxes} boxes in {run.count} images, by {detector.name}.")
-    console.print(f" Wrote {out}" + (f" and {road_image}" if road_image else ""), soft_wrap=True)
+    settings = DetectorSettings(min_score, class_names=parse_names(class_names))
+    left_out = None if strict else LeftOut()
+    with open_images(source, ImageOptions(fps, duration, left_out=left_out)) as images:
+        kept = kept_boxes(out, images, source, model, settings, fps, resume=resume)
+        with status("loading"):
+            detector = make_detector(model, settings)
+        if note := without_effect(detector, settings):
+            error_console.print(note, soft_wrap=True)
+        warm_up_detector(detector, images, duration, left_out)
+        run = DetectionRun(detector, kept, left_out)
+        with EarlyEnd(images, run, out) as early:
+            frames = _Frames(run, left_out, road_image)
+            boxes = write_mot(out, frames.of(images, duration))
+        print_remarks(images.remarks)
+        console.print(f" {boxes} boxes in {len(run.numbers)} images, by {detector.name}.")
+        console.print(
+            f" Wrote {out}" + (f" and {road_image}" if road_image else ""), soft_wrap=True
+        )
+        early.finish()
 
 
-class _Run:
-    """Runs a detector over images, and keeps what the image of the road needs."""
+class _Frames:
+    """Rows of a detector's images, and what the image of the road needs."""
 
-    def __init__(self, detector: Detector, road_image: Path | None) -> None:
-        self.count = 0
-        self._detector, self._road_image = detector, road_image
+    def __init__(
+        self, run: DetectionRun, left_out: LeftOut | None, road_image: Path | None
+    ) -> None:
+        self._run, self._left_out, self._road_image = run, left_out, road_image
         self._segments: RoadSegments | None = None
 
-    def frames(
+    def of(
         self, images: FrameSource, duration_s: float | None
     ) -> Iterator[tuple[int, NDArray[np.void]]]:
         """Number and rows of every image; at the end, draws the image of the road."""
-        from geoorbit_ros.cli.camera_run import shown_images
+        from geoorbit_ros.cli.images import check_images, note_varying_rate, shown_images
         from geoorbit_ros.detection.road_segments import RoadSegments
         from geoorbit_ros.report.image_overlay import draw_segments, write_image
 
-        for stamp_ns, image in shown_images(images, duration_s, "finding vehicles"):
-            rows = self._detector.detect(stamp_ns, image)
-            self.count += 1
+        stamps = []
+        shown = shown_images(images, duration_s, "finding vehicles")
+        for stamp_ns, image, rows in self._run.boxes(shown):
             if self._segments is None:
                 self._segments = RoadSegments((image.shape[1], image.shape[0]))
             self._segments.add(stamp_ns, rows)
             last = image
-            yield self.count, rows
-        if not self.count:
+            stamps.append(stamp_ns)
+            yield self._run.numbers[-1], rows
+        if not stamps:
             raise ParameterError(images.name, "no images", "at least one")
+        check_images(images, self._left_out, len(stamps))
+        note_varying_rate(images, stamps)
         if self._road_image and self._segments:
             write_image(self._road_image, draw_segments(last, self._segments))

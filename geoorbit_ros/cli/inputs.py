@@ -66,7 +66,17 @@ SourceArgument = Annotated[
     typer.Argument(help="Video file, address of a stream, folder of images, or scene:NAME?seed=1."),
 ]
 FpsOption = Annotated[
-    float | None, typer.Option("--fps", help="Frames per second of a folder of images.")
+    float | None,
+    typer.Option(
+        "--fps", help="Frames per second of images without times: a folder, a raw H.264 stream."
+    ),
+]
+StrictImagesOption = Annotated[
+    bool, typer.Option("--strict", help="End at the first image that can't be used.")
+]
+ResumeOption = Annotated[
+    bool,
+    typer.Option("--resume", help="Go on where the same command ended early; see OUT.resume."),
 ]
 DurationOption = Annotated[
     float | None,

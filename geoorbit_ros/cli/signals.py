@@ -7,7 +7,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from threading import Event
 from types import TracebackType
@@ -93,10 +93,13 @@ class Interruption:
 
 
 @contextmanager
-def told_to_end() -> Iterator[Event]:
+def told_to_end(then: Callable[[], None] = lambda: None) -> Iterator[Event]:
     """An event that SIGINT and SIGTERM set, for commands that run until they are told to end.
 
     A later signal ends the process at once.
+
+    Args:
+        then: Called after the event is set, between two steps of the main thread.
     """
     event = Event()
     first_s = 0.0
@@ -106,6 +109,7 @@ def told_to_end() -> Iterator[Event]:
         if not event.is_set():
             first_s = time.monotonic()
             event.set()
+            then()
         elif time.monotonic() - first_s > SAME_S:
             os._exit(EXIT_INTERRUPTED)
 

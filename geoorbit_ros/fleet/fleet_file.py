@@ -15,6 +15,7 @@ from geoorbit_ros.core.errors import InputFileError, ParameterError
 from geoorbit_ros.core.resources import share_path
 from geoorbit_ros.parameters import ParameterSpec, load_schema, spec_by_name
 from geoorbit_ros.storage.atomic import atomic_output
+from geoorbit_ros.storage.frames.open_source import is_address
 from geoorbit_ros.storage.yaml_file import StrictModel, WrongValue, read_yaml
 
 FOLDER = "params/fleets"
@@ -82,6 +83,7 @@ class Camera(StrictModel):
             must be given, for a bag it is 1920 x 1080 unless given.
         datum: Origin of its map; default: the middle of its control points.
         position: Where it stands, for maps.
+        repeat: Whether a recording starts again at its end.
         enabled: Whether it is started.
         parameters: Values that go before the nodes' defaults.
     """
@@ -93,16 +95,17 @@ class Camera(StrictModel):
     image_size: tuple[Pixels, Pixels] | None = None
     datum: Position | None = None
     position: Position | None = None
+    repeat: bool = True
     enabled: bool = True
     parameters: Overrides = Field(default={})
 
     @property
     def kind(self) -> str:
         """`bag`, `scene`, `stream` or `file`."""
-        start = re.match(r"(bag|scene|rtsps?|https?)(:|$)", self.source)
-        if start is None:
-            return "file"
-        return start[1] if start[1] in ("bag", "scene") else "stream"
+        if is_address(self.source):
+            return "stream"
+        start = re.match(r"(bag|scene)(:|$)", self.source)
+        return "file" if start is None else start[1]
 
     @model_validator(mode="after")
     def _complete(self) -> Camera:

@@ -11,6 +11,7 @@ from geoorbit_ros.core.errors import GeoOrbitError, InputFileError
 from geoorbit_ros.core.plugins import FROM_FILES, is_file, plugin_file, registered
 from geoorbit_ros.fleet.fleet_file import Camera, Fleet, Value
 from geoorbit_ros.parameters import spec_by_name
+from geoorbit_ros.storage.frames.open_source import local_path
 
 BAG_IMAGE_SIZE = (1920, 1080)
 """Width and height of the images of a recording of boxes, which doesn't tell them: full HD."""
@@ -169,7 +170,8 @@ def camera_nodes(
         bag = str(base / camera.source.partition(":")[2])
         wiring["bag_player"] = {
             "bag": bag,
-            "loop": True,
+            "loop": camera.repeat,
+            "exit_when_done": False,
             "camera_id": camera.id,
             "publish_clock": False,
             "stamp_now": True,
@@ -181,7 +183,9 @@ def camera_nodes(
         wiring["detector"] = {"model": model}
         wiring["camera"] = {"source": image_source(camera, base)}
         if camera.kind != "stream":
-            wiring["camera"] |= {"loop": True, "start_time_s": 0.0}
+            # One that plays once stays when it is done: its lanes are still asked for.
+            wiring["camera"] |= {"loop": camera.repeat, "start_time_s": 0.0}
+            wiring["camera"] |= {"exit_when_done": False}
     for executable, values in wiring.items():
         given = _beside(executable, camera.parameters.get(executable, {}), base)
         yield NodePlan(executable, camera.id, values | given)
@@ -241,7 +245,7 @@ def image_size(camera: Camera) -> tuple[int, int]:
 
 def image_source(camera: Camera, base: Path) -> str:
     """What the camera node opens: local paths start at the fleet file's folder."""
-    return str(base / camera.source) if camera.kind == "file" else camera.source
+    return str(base / local_path(camera.source)) if camera.kind == "file" else camera.source
 
 
 def calibration_file(camera: Camera, base: Path, output: Path) -> Path:
@@ -288,7 +292,7 @@ def _check_files(fleet: Fleet, base: Path) -> None:
         if camera.kind == "bag":
             files.append(Path(camera.source.partition(":")[2]))
         elif camera.kind == "file":
-            files.append(Path(camera.source))
+            files.append(Path(local_path(camera.source)))
         missing += [f"{camera.id}: {base / f}" for f in files if f and not (base / f).exists()]
     if fleet.twin and fleet.twin.enabled and not (base / fleet.twin.network).exists():
         missing.append(f"twin: {base / fleet.twin.network}")

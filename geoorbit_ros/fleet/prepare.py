@@ -22,7 +22,7 @@ from geoorbit_ros.rendering.frame_source import SCENES, SceneFrames
 from geoorbit_ros.scenes.output import calibration_text
 from geoorbit_ros.storage.atomic import atomic_output
 from geoorbit_ros.storage.frames.open_source import open_frame_source
-from geoorbit_ros.storage.frames.source import SourceOptions
+from geoorbit_ros.storage.frames.source import FrameSourceError, LeftOut, SourceOptions
 
 
 def ask_sources(fleet: Fleet, base: Path, output: Path, chosen: Container[str]) -> Fleet:
@@ -60,12 +60,16 @@ def _ask_scene(camera: Camera, base: Path, output: Path) -> tuple[int, int]:
 
 
 def _ask_file(camera: Camera, base: Path, _output: Path) -> tuple[int, int]:
-    source = open_frame_source(image_source(camera, base), SourceOptions(), SCENES)
-    try:
-        _, image = next(iter(source))
-    finally:
-        source.close()
-    return int(image.shape[1]), int(image.shape[0])
+    """Size of the first image, opened as its node will: what that leaves out is left out here."""
+    fps = float(camera.parameters.get("camera", {}).get("fps", 0.0)) or None
+    left_out = LeftOut()
+    options = SourceOptions(fps=fps, on_bad_frame=left_out, on_cut=left_out)
+    source = open_frame_source(image_source(camera, base), options, SCENES)
+    with source:
+        for _, image in source:
+            return int(image.shape[1]), int(image.shape[0])
+    found = f"{left_out.count} images that can't be used"
+    raise FrameSourceError(source.name, found, "at least one that can")
 
 
 def prepare(

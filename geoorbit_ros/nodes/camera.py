@@ -21,8 +21,10 @@ from geoorbit_ros.nodes.support.qos import stream_qos
 from geoorbit_ros.rendering.frame_source import SCENES
 from geoorbit_ros.storage.frames.feed import STOP_TIMEOUT_S, FrameFeed
 from geoorbit_ros.storage.frames.open_source import open_frame_source
-from geoorbit_ros.storage.frames.source import FrameSourceError, Image, SourceOptions
+from geoorbit_ros.storage.frames.source import START_NS, FrameSourceError, Image, SourceOptions
 
+OWN_START = -1.0
+"""Value of `start_time_s` for the time that the file says."""
 WATCH_S = 0.1
 """Between two looks at the threads. Chosen: larger, a start or an end is noticed later."""
 TAKE_TIMEOUT_S = 0.2
@@ -149,15 +151,19 @@ class CameraNode(GeoOrbitNode[CameraParameters]):
         self.finished = self._started = False
         options = SourceOptions(
             fps=p.fps or None,
-            start_ns=round(1e9 * p.start_time_s),
+            start_ns=START_NS if p.start_time_s == OWN_START else round(1e9 * p.start_time_s),
+            own_start=p.start_time_s == OWN_START,
             open_timeout_s=p.open_timeout_s,
             stall_timeout_s=p.stall_timeout_s,
             give_up_s=None,
             clock_ns=lambda: int(self.get_clock().now().nanoseconds),
             report=self.get_logger().info,
             on_bad_frame=self.diagnostics.refuse,
+            on_cut=self.diagnostics.refuse,
         )
         self._source = open_frame_source(p.source, options, SCENES)
+        self._said = 0
+        self._say_remarks()
         clock_ns = None if p.start_time_s else options.clock_ns
         self._feed = FrameFeed(
             self._source, rate=p.rate, loop=p.loop, depth=p.buffer_frames, clock_ns=clock_ns
@@ -183,6 +189,7 @@ class CameraNode(GeoOrbitNode[CameraParameters]):
             "dropped": self._feed.dropped,
             "left_out": self._feed.thinning.left_out,
             "reconnects": self._source.reconnects,
+            "remarks": "; ".join(self._source.remarks.sentences()),
             "subscribers": self.images.get_subscription_count(),
         }
 
@@ -194,6 +201,13 @@ class CameraNode(GeoOrbitNode[CameraParameters]):
             return
         if not self.images.wait_for_all_acked(ACKNOWLEDGE_TIMEOUT):
             self.get_logger().warning("the last images were not acknowledged within 5 s")
+
+    def _say_remarks(self) -> None:
+        """Log what has been remarked on the source since the last time."""
+        sentences = list(self._source.remarks.sentences())
+        for sentence in sentences[self._said :]:
+            self.get_logger().warning(f"{self._source.name}: {sentence}")
+        self._said = len(sentences)
 
     def _silent(self) -> str | None:
         silent_s = self._sender.silent_s
@@ -216,6 +230,7 @@ class CameraNode(GeoOrbitNode[CameraParameters]):
                 self.diagnostics.refuse(error)
             elif error is not None:
                 raise error
+            self._say_remarks()
             self.get_logger().info(f"{self._source.name}: end of the recording")
             self.finished, self.done = True, self.p.exit_when_done
 

@@ -50,6 +50,7 @@ class SceneFrames(FrameSource):
     def __init__(self, spec: str, options: SourceOptions) -> None:
         super().__init__(spec)
         self._start_ns = options.start_ns
+        self._note_unused(options.fps, "a scene's rate is written scene:NAME?fps=10")
         name, _, query = spec.partition(":")[2].partition("?")
         self._settings = dict(DEFAULTS)
         for key, value in parse_qsl(query, keep_blank_values=True):

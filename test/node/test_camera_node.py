@@ -1,5 +1,6 @@
 """The camera node: every frame of a recording, the newest of a stream, and no end with either."""
 
+import struct
 import threading
 import time
 from pathlib import Path
@@ -9,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
+from made_videos import SINCE_1904_S, patched, write_video
 from mjpeg_server import MjpegServer, grey_image
 from probe import KEEP_ALL, LIMIT_S, Probe
 from rclpy.parameter import Parameter
@@ -73,6 +75,21 @@ def test_a_recording_can_be_stamped_as_if_it_were_live(nodes: Composition, folde
     assert before_ns <= stamp_ns(heard[0]) <= time.time_ns()
 
 
+def test_a_recording_can_have_the_time_that_its_file_says(
+    nodes: Composition, tmp_path: Path
+) -> None:
+    film = write_video(tmp_path / "film.mp4", 5)
+    patched(film, b"mvhd", 4, struct.pack(">I", SINCE_1904_S + 1_700_000_000))
+    probe = Probe(nodes)
+    heard = probe.listen("image/compressed", CompressedImage, KEEP_ALL)
+    start(nodes, film, start_time_s=-1.0)
+    probe.until(lambda: bool(heard), "an image")
+    assert stamp_ns(heard[0]) == 1_700_000_000 * 10**9
+    remarks = probe.status_of("/north/camera")["remarks"]
+    assert "starts at 2023-11-14 22:13:20 UTC" in remarks
+    assert "--fps 25 is not used" in remarks
+
+
 def test_a_loop_goes_on_in_time_and_max_fps_thins_it(nodes: Composition, folder: Path) -> None:
     probe = Probe(nodes)
     heard = probe.listen("image/compressed", CompressedImage, KEEP_ALL)
@@ -133,6 +150,7 @@ def test_a_video_that_breaks_off_gives_what_it_holds_and_the_node_says_so(
     probe.until(lambda: node.finished and len(heard) > 7, "the first half")
     status = probe.status_of("/north/camera")
     assert status["refused"] == "1"
+    assert "what is there is used" in status["remarks"]
     assert "long.avi: found a video that breaks off after" in status["last_refusal"]
     assert not node.done
 

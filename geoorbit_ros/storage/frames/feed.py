@@ -234,7 +234,7 @@ class LiveFrames(FrameSource):
 
     def __init__(self, source: FrameSource) -> None:
         super().__init__(source.name)
-        self.fps = source.fps
+        self.fps, self.remarks = source.fps, source.remarks
         self._feed = FrameFeed(source)
         self._started = False
 

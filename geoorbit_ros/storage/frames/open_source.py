@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
+from urllib.parse import unquote, urlsplit
 
 from geoorbit_ros.core.errors import ParameterError
-from geoorbit_ros.storage.frames.image_folder import ImageFolder
+from geoorbit_ros.storage.frames.image_folder import ImageFolder, is_image
 from geoorbit_ros.storage.frames.source import FrameSource, SourceOptions
 from geoorbit_ros.storage.frames.stream import SCHEMES, Stream
 from geoorbit_ros.storage.frames.video_file import VideoFile
@@ -37,11 +38,25 @@ def open_frame_source(
         raise ParameterError("source", "nothing", "a video file, an address, a folder or a scene")
     if options.fps is not None and not 0.0 < options.fps <= 1000.0:
         raise ParameterError("fps", f"{options.fps:g}", "above 0 to 1000 frames per second")
-    scheme, colon, rest = spec.partition(":")
+    scheme, colon, _ = spec.partition(":")
     if colon and scheme in more:
         return more[scheme](spec, options)
-    if scheme.lower() in SCHEMES and rest.startswith("//"):
+    if is_address(spec):
         return Stream(spec, options)
-    if Path(spec).is_dir():
-        return ImageFolder(spec, options)
-    return VideoFile(spec.removeprefix("file://"), options)
+    path = Path(local_path(spec))
+    if path.is_dir() or (is_image(path) and path.is_file()):
+        return ImageFolder(path, options)
+    return VideoFile(path, options)
+
+
+def is_address(spec: str) -> bool:
+    """Whether a source is a stream's address, and no file or folder."""
+    scheme, _, rest = spec.partition(":")
+    return scheme.lower() in SCHEMES and rest.startswith("//")
+
+
+def local_path(spec: str) -> str:
+    """The path of a file or folder that may be written as `file:///…` (RFC 8089)."""
+    if spec.lower().startswith("file://") and not Path(spec).exists():
+        return unquote(urlsplit(spec).path)
+    return spec

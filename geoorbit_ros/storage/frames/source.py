@@ -10,6 +10,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from types import TracebackType
 from typing import Any, Self
 
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import GeoOrbitError
+from geoorbit_ros.core.input_report import InputReport, Remark, Treatment
 
 Image = NDArray[np.uint8]
 """(height, width, 3), blue green red."""
@@ -40,8 +42,10 @@ class SourceOptions:
     """How to open a source; each kind takes what concerns it.
 
     Attributes:
-        fps: Frames per second of a folder of images; None reads the times from the file names.
-        start_ns: Stamp of the first frame of a recording.
+        fps: Frames per second of what has no times: a folder of images (None: the times are in the
+            file names), a raw video stream (None: 25).
+        start_ns: Stamp of the first frame of a recording …
+        own_start: … unless this is set and the file says when it was made.
         open_timeout_s: Longest time to wait for a stream to answer.
         stall_timeout_s: Longest time between two frames of a stream before it is opened anew.
         give_up_s: Longest time without a frame before a stream is given up; None never does.
@@ -49,16 +53,55 @@ class SourceOptions:
         report: Takes a sentence about every loss and return of a stream.
         on_bad_frame: Takes what is wrong with one image, after which the source goes on with the
             next; by default it raises.
+        on_cut: Takes that a video lacks a large part of its end, after all that is there; by
+            default it raises, and a video whose size shows it is refused before it is read.
     """
 
     fps: float | None = None
     start_ns: int = START_NS
+    own_start: bool = False
     open_timeout_s: float = 10.0
     stall_timeout_s: float = 5.0
     give_up_s: float | None = 30.0
     clock_ns: Callable[[], int] = time.time_ns
     report: Callable[[str], None] = field(default=lambda _sentence: None)
     on_bad_frame: Callable[[FrameSourceError], None] = _raise
+    on_cut: Callable[[FrameSourceError], None] = _raise
+
+    @property
+    def refuses_cut(self) -> bool:
+        """Whether a video that breaks off is an error."""
+        return self.on_cut is _raise
+
+
+class LeftOut:
+    """Collects what is wrong with images that are left out: an `on_bad_frame`.
+
+    Attributes:
+        count: How many there are.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._kinds: dict[str, list[FrameSourceError]] = {}
+
+    def clear(self) -> None:
+        """Forget what was left out: the source is read anew."""
+        self.count = 0
+        self._kinds.clear()
+
+    def __call__(self, error: FrameSourceError) -> None:
+        """Leave out one image."""
+        self.count += 1
+        self._kinds.setdefault(error.expected, []).append(error)
+
+    def report_to(self, report: InputReport, used: int) -> None:
+        """Add what was left out to a report on a source of which `used` images were used."""
+        report.total = used + self.count
+        for expected, errors in self._kinds.items():
+            first = errors[0]
+            example = f"{first.place}: {first.found}"
+            report.add(Treatment.LEFT_OUT, len(errors), f"not {expected}", example)
 
 
 class FrameSource(ABC):
@@ -76,6 +119,7 @@ class FrameSource(ABC):
         frame_count: How many there will be; None when that is not known.
         fps: Nominal frames per second; None when that is not known.
         reconnects: How often a lost stream has been opened again.
+        remarks: What was assumed or found odd; grows while the source is read.
     """
 
     live: bool = False
@@ -85,7 +129,18 @@ class FrameSource(ABC):
 
     def __init__(self, name: str) -> None:
         self.name = name
+        self.remarks = InputReport(name, "images")
         self._closed = threading.Event()
+
+    def _note(self, text: str) -> None:
+        """Remark on the source as a whole, once also when it is read again."""
+        remark = Remark(Treatment.NOTED, 0, text)
+        if remark not in self.remarks.remarks:
+            self.remarks.remarks.append(remark)
+
+    def _note_unused(self, fps: float | None, why: str) -> None:
+        if fps is not None:
+            self._note(f"--fps {fps:g} is not used: {why}")
 
     @abstractmethod
     def __iter__(self) -> Iterator[StampedImage]:
@@ -105,6 +160,26 @@ class FrameSource(ABC):
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+
+def check_name(name: str) -> None:
+    """Refuse a name that can't be handed to FFmpeg or OpenCV, which may crash on it.
+
+    Raises:
+        FrameSourceError: It is no UTF-8.
+    """
+    try:
+        name.encode("utf-8")
+    except UnicodeEncodeError:
+        shown = name.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
+        raise FrameSourceError(
+            shown, "a name that is not UTF-8", "a file of another name"
+        ) from None
+
+
+def utc_text(stamp_ns: int) -> str:
+    """Date and time of a stamp that counts from 1970."""
+    return f"{datetime.fromtimestamp(stamp_ns / 1e9, UTC):%Y-%m-%d %H:%M:%S} UTC"
 
 
 def to_bgr8(image: NDArray[Any], place: str) -> Image:

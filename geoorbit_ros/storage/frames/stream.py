@@ -44,6 +44,7 @@ class Stream(FrameSource):
     def __init__(self, address: str, options: SourceOptions) -> None:
         super().__init__(without_password(address))
         self._address, self._options = address, options
+        self._note_unused(options.fps, "a stream's images are stamped when they arrive")
 
     def __iter__(self) -> Iterator[StampedImage]:
         """Stamps and images as they arrive, until the source is closed."""

@@ -33,7 +33,9 @@ class VideoWriter:
     def __init__(self, path: Path, fps: float, image_size: tuple[int, int]) -> None:
         check_suffix(path)
         codec = CODECS[path.suffix.lower()]
-        self._writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), fps, image_size)
+        # By its absolute path: FFmpeg takes what stands before a colon for a protocol.
+        name, code = str(path.absolute()), cv2.VideoWriter.fourcc(*codec)
+        self._writer = cv2.VideoWriter(name, cv2.CAP_FFMPEG, code, fps, image_size)
         if not self._writer.isOpened():
             found = f"no encoder for {codec} of {image_size[0]}x{image_size[1]} pixels"
             raise InputFileError(str(path), found, "an OpenCV that writes video")

@@ -49,11 +49,11 @@ def test_a_missing_or_corrupt_video_is_one_sentence(
         assert "\n" not in sentence
 
 
-def test_frames_that_change_size_end_it(
+def test_strictly_taken_frames_that_change_size_end_it(
     capsys: pytest.CaptureFixture[str], camera: CameraFiles, tmp_path: Path
 ) -> None:
     images = write_images(tmp_path / "images", [IMAGE_SIZE] * 2 + [(1280, 720)])
-    sentence = refused(capsys, camera, tmp_path / "out", str(images), "--fps", "10")
+    sentence = refused(capsys, camera, tmp_path / "out", str(images), "--fps", "10", "--strict")
     assert "2.jpg: found a frame of 1280x720 pixels, expected 1920x1080 as before" in sentence
 
 

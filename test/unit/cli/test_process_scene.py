@@ -16,6 +16,7 @@ from mjpeg_server import MjpegServer
 
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.cli.main import main
+from geoorbit_ros.cli.signals import EXIT_INTERRUPTED
 from geoorbit_ros.fleet.fleet_file import load_fleet
 from geoorbit_ros.lanes.geojson import read_lane_file, read_lanes
 from geoorbit_ros.metrics.score import score_lanes
@@ -90,6 +91,54 @@ def test_boxes_tracks_and_video_belong_to_the_same_images(processed: Processed) 
     assert not video.read()[0]
     assert drawn > 1000, "boxes, trails and lanes"
     assert "<svg" in (processed.out / "report.html").read_text()
+
+
+PLUGIN = """
+import os, signal
+import numpy as np
+from geoorbit_ros.core.tables import DETECTION_DTYPE
+from geoorbit_ros.storage.mot_text import read_mot_detections
+
+class Again:
+    name = "again"
+    def __init__(self):
+        self.rows = dict(read_mot_detections({detections!r}))
+    def warm_up(self, images):
+        pass
+    def detect(self, stamp_ns, image):
+        number = round((stamp_ns - 10**9) * {fps} / 1e9) + 1
+        if number == {at}:
+            os.kill(os.getpid(), signal.SIGINT)
+        return self.rows.get(number, np.empty(0, DETECTION_DTYPE))
+"""
+
+
+def test_what_was_seen_before_ctrl_c_is_kept_and_gone_on_from(
+    processed: Processed, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, file = tmp_path / "out", tmp_path / "again.py"
+    words = ["process", str(processed.film / "video.mp4"), "--out", str(out), "--calibration"]
+    words += [str(processed.film / "calibration.csv"), "--model", f"{file}:Again"]
+    values = {"detections": str(processed.out / "detections.txt"), "fps": FPS}
+    file.write_text(PLUGIN.format(**values, at=160))
+    assert main(words) == EXIT_INTERRUPTED
+    assert "--resume goes on from there" in capsys.readouterr().err
+    assert {path.name for path in out.iterdir()} == {
+        *("detections.txt", "tracks.txt", "tracks.csv", "lanes.geojson", "report.html")
+    }
+    part, whole = ((p / "detections.txt").read_text() for p in (out, processed.out))
+    assert 0 < len(part) < len(whole)
+    assert whole.startswith(part)
+    file.write_text(PLUGIN.format(**values, at=0))
+    assert main([*words, "--resume"]) == 0
+    assert (out / "detections.txt").read_text() == whole
+    found, before = (
+        read_lane_file(p / "lanes.geojson", processed.datum).lane_map.lanes
+        for p in (out, processed.out)
+    )
+    assert len(found) == len(before)
+    assert "not say when" not in (out / "report.html").read_text()
+    assert "doesn&#x27;t say when it was made" in (out / "report.html").read_text()
 
 
 def test_a_camera_is_checked_and_added_to_a_fleet(processed: Processed, tmp_path: Path) -> None:

@@ -3,6 +3,8 @@
 import json
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 import yaml
 
@@ -17,6 +19,8 @@ from geoorbit_ros.fleet.plan import (
     plan_nodes,
     select,
 )
+from geoorbit_ros.fleet.prepare import ask_sources
+from geoorbit_ros.storage.frames.source import FrameSourceError
 
 GOOD = """\
 name: crossing
@@ -175,6 +179,66 @@ def test_readers_start_before_writers(tmp_path: Path) -> None:
 
 
 WAY = ("bag_player", "camera", "detector", "tracker", "homography", "lane_geometry")
+
+
+@pytest.mark.parametrize("repeat", [True, False])
+def test_a_recording_plays_again_or_once(tmp_path: Path, repeat: bool) -> None:
+    film = "  - {id: film, source: film.mp4, calibration: f.csv, image_size: [640, 480]}\n"
+    text = GOOD.replace("  - id: south", f"{film}  - id: south")
+    if not repeat:
+        text = text.replace("id: film,", "id: film, repeat: false,")
+        text = text.replace("source: bag:north_bag", "source: bag:north_bag\n    repeat: false")
+    fleet, _ = load_fleet(write(tmp_path, text))
+    nodes = {
+        (n.executable, n.namespace): n.parameters
+        for p in plan_nodes(fleet, tmp_path, tmp_path)
+        for n in p.nodes
+    }
+    for node in (nodes["camera", "film"], nodes["bag_player", "north"]):
+        assert (node["loop"], node["exit_when_done"]) == (repeat, False)
+    assert "loop" not in nodes["camera", "south"]
+
+
+@pytest.mark.parametrize(
+    ("source", "kind"),
+    [
+        ("rtmp://camera/live", "stream"),
+        ("udp://0.0.0.0:5000", "stream"),
+        ("srt://camera:9000", "stream"),
+        ("RTSP://camera/1", "stream"),
+        ("http:film.mp4", "file"),
+        ("2024-05-24T08:00:00.mp4", "file"),
+        ("images", "file"),
+    ],
+)
+def test_a_source_is_a_stream_by_its_scheme(tmp_path: Path, source: str, kind: str) -> None:
+    text = GOOD.replace("rtsp://camera.example/south", f"'{source}'")
+    fleet, _ = load_fleet(write(tmp_path, text))
+    assert fleet.cameras[1].kind == kind
+    (tmp_path / "south.csv").touch()
+    node = next(
+        n
+        for p in plan_nodes(fleet, tmp_path, tmp_path)
+        for n in p.nodes
+        if (n.executable, n.namespace) == ("camera", "south")
+    )
+    expected = source if kind == "stream" else str(tmp_path / source)
+    assert node.parameters["source"] == expected
+
+
+def test_a_folder_of_images_has_the_rate_of_its_node(tmp_path: Path) -> None:
+    for k in range(3):
+        assert cv2.imwrite(str(tmp_path / f"{k}.png"), np.zeros((48, 64, 3), np.uint8))
+    (tmp_path / "0.png").write_bytes(b"")
+    text = GOOD.replace("rtsp://camera.example/south", ".").replace(
+        "image_size: [1280, 720]", "parameters: {camera: {fps: 10.0}}"
+    )
+    fleet, _ = load_fleet(write(tmp_path, text))
+    assert ask_sources(fleet, tmp_path, tmp_path, ["south"]).cameras[1].image_size == (64, 48)
+    for file in tmp_path.glob("*.png"):
+        file.write_bytes(b"")
+    with pytest.raises(FrameSourceError, match="3 images that can't be used"):
+        ask_sources(fleet, tmp_path, tmp_path, ["south"])
 
 
 def test_disabled_parts_are_left_out(tmp_path: Path) -> None:
