@@ -28,6 +28,7 @@ from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.cli.camera_run import CameraRun, WatchedMapper
 from geoorbit_ros.cli.console import error_console, make_progress
 from geoorbit_ros.cli.images import warm_up_detector
+from geoorbit_ros.cli.resume import DetectionRun
 from geoorbit_ros.core.errors import NoTrafficError
 from geoorbit_ros.detection.detector import make_detector
 from geoorbit_ros.lanes.estimators.estimator import make_estimator
@@ -84,7 +85,7 @@ def run_scene(name: str, seed: int, cache: Path) -> Outcome:
         raise RuntimeError(f"{folder}: control points without degrees")
     mapper = WatchedMapper(make_estimator("curvilinear"))
     detector = make_detector(None)
-    run = CameraRun(fit_homography(points), detector, mapper)
+    run = CameraRun(fit_homography(points), DetectionRun(detector), mapper)
     start_s = time.process_time()
     with open_frame_source(str(folder / "video.mp4")) as video:
         warm_up_detector(detector, video, None)

@@ -49,23 +49,11 @@ def add(
     --fleet fleet.yaml --out north_check[/bold]
     """
     from geoorbit_ros.cli.camera_run import REPORT, CameraJob
-    from geoorbit_ros.cli.console import (
-        as_typed,
-        console,
-        print_lanes,
-        print_remarks,
-        say,
-        status,
-    )
-    from geoorbit_ros.cli.images import (
-        ImageOptions,
-        check_images,
-        first_image,
-        open_camera,
-        warm_up_detector,
-    )
+    from geoorbit_ros.cli.console import as_typed, console, print_lanes, print_remarks, say
+    from geoorbit_ros.cli.images import ImageOptions, first_image
     from geoorbit_ros.cli.inputs import load_calibration
-    from geoorbit_ros.detection.detector import make_detector
+    from geoorbit_ros.cli.resume import prepared_run
+    from geoorbit_ros.detection.detector import DetectorSettings
     from geoorbit_ros.fleet.fleet_file import add_camera, check_new_camera
     from geoorbit_ros.scenes.output import check_new_folder
     from geoorbit_ros.storage.atomic import atomic_output
@@ -74,22 +62,16 @@ def add(
     if not replace:
         check_new_folder(out)
     check_new_camera(fleet, camera_id, replace=replace)
-    homography, origin = load_calibration(calibration, datum)
-    with status("loading"):
-        detector = make_detector(model)
-    job = CameraJob(camera_id, calibration, homography, origin, detector)
-    left_out = LeftOut()
-    options = ImageOptions(duration_s=duration, left_out=left_out)
+    plane = load_calibration(calibration, datum)
+    options, settings = ImageOptions(duration_s=duration, left_out=LeftOut()), DetectorSettings()
     with (
-        open_camera(source, options) as images,
+        prepared_run(source, out, options, model, settings, resume=None) as (images, run),
         atomic_output(out, overwrite=replace) as folder,
     ):
+        job = CameraJob(camera_id, calibration, *plane, run)
         folder.mkdir()
-        warm_up_detector(detector, images, duration, left_out)
-        _show_calibration(homography, first_image(images), folder / CALIBRATION_IMAGE)
-        left_out.clear()
+        _show_calibration(plane[0], first_image(images), folder / CALIBRATION_IMAGE)
         job.find_lanes(images, duration)
-        check_images(images, left_out, len(job.run.seen))
         job.write(folder, images)
         add_camera(fleet, _entry(job, source, model, fleet), replace=replace)
     print_remarks(images.remarks)

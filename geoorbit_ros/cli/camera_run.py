@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from geoorbit_ros.calibration.box_projector import BoxProjector
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.calibration.homography import Homography
-from geoorbit_ros.cli.images import DEFAULT_FPS, DetectionRun, shown_images
+from geoorbit_ros.cli.images import DEFAULT_FPS, check_images, shown_images
 from geoorbit_ros.cli.inputs import DEFAULT_ESTIMATOR, CameraInput
 from geoorbit_ros.cli.report import describe_method, save_report
+from geoorbit_ros.cli.resume import DetectionRun
 from geoorbit_ros.core.errors import NoTrafficError
 from geoorbit_ros.core.input_report import InputReport, Treatment
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.core.tables import FLAG_PREDICTED, PIXEL_TRACK_DTYPE, Frames
-from geoorbit_ros.detection.detector import Detector
 from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.lanes.geojson import write_lanes
 from geoorbit_ros.lanes.mapping.mapper import DEFAULT_UPDATE_PERIOD_S, LaneMapper
@@ -76,22 +76,17 @@ class CameraRun:
 
     Attributes:
         homography: The road plane.
-        detector: Finds vehicles.
+        detection: Finds vehicles.
         mapper: Is given the ground tracks by the caller; its latest map is drawn into the video.
-        detection: Runs the detector.
         image_size: (width, height) of the images, (0, 0) before the first.
         seen: Stamp, detections and tracks of every image so far.
     """
 
     homography: Homography
-    detector: Detector
+    detection: DetectionRun
     mapper: WatchedMapper
-    detection: DetectionRun = field(init=False)
     image_size: tuple[int, int] = (0, 0)
     seen: list[tuple[int, NDArray[np.void], NDArray[np.void]]] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        self.detection = DetectionRun(self.detector)
 
     def ground_tracks(
         self, images: Iterable[StampedImage], video: Path | None = None, fps: float = 25.0
@@ -153,7 +148,7 @@ class CameraJob:
         calibration: Its control points.
         homography: The road plane they give.
         datum: Origin of the map frame.
-        detector: Finds vehicles.
+        detection: Finds vehicles.
         estimator: Name of the lane estimator.
         update_period_s: Data time between two updates of the map.
         run: The images on their way to tracks; made with the job.
@@ -164,7 +159,7 @@ class CameraJob:
     calibration: Path
     homography: Homography
     datum: Datum
-    detector: Detector
+    detection: DetectionRun
     estimator: str = DEFAULT_ESTIMATOR
     update_period_s: float = DEFAULT_UPDATE_PERIOD_S
     run: CameraRun = field(init=False)
@@ -173,7 +168,7 @@ class CameraJob:
 
     def __post_init__(self) -> None:
         mapper = WatchedMapper(make_estimator(self.estimator), update_period_s=self.update_period_s)
-        self.run = CameraRun(self.homography, self.detector, mapper)
+        self.run = CameraRun(self.homography, self.detection, mapper)
 
     def find_lanes(
         self, images: FrameSource, duration_s: float | None, video: Path | None = None
@@ -191,6 +186,7 @@ class CameraJob:
         shown = shown_images(images, duration_s, "finding vehicles and lanes")
         ground = self.run.ground_tracks(shown, video, images.fps or DEFAULT_FPS)
         self.lane_map = map_lanes(self._recording.tee(ground), self.run.mapper, images.name)
+        check_images(images, self.detection.left_out, len(self.run.seen))
 
     def write(self, folder: Path, images: FrameSource) -> None:
         """Write tracks.csv, lanes.geojson and report.html of lanes that were found in images."""
@@ -218,5 +214,5 @@ class CameraJob:
             remarks,
         )
         method = describe_method(self.estimator, self.update_period_s)
-        method = f"{self.detector.name}; {method}"
+        method = f"{self.detection.detector.name}; {method}"
         save_report(folder / REPORT, camera, self.lane_map, self._recording, method)

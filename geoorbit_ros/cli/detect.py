@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from geoorbit_ros.cli.images import DetectionRun
+    from geoorbit_ros.cli.resume import DetectionRun
     from geoorbit_ros.detection.road_segments import RoadSegments
-    from geoorbit_ros.storage.frames.source import FrameSource, LeftOut
+    from geoorbit_ros.storage.frames.source import FrameSource
 
 
 def detect(
@@ -61,16 +61,10 @@ def detect(
     Example: [bold]geoorbit detect north.mp4 --out det.txt[/bold], then
     [bold]geoorbit track --detections det.txt --fps 25 --out tracks.txt[/bold]
     """
-    from geoorbit_ros.cli.console import console, error_console, print_remarks, status
-    from geoorbit_ros.cli.images import (
-        DetectionRun,
-        EarlyEnd,
-        ImageOptions,
-        kept_boxes,
-        open_images,
-        warm_up_detector,
-    )
-    from geoorbit_ros.detection.detector import DetectorSettings, make_detector, without_effect
+    from geoorbit_ros.cli.console import console, error_console, print_remarks
+    from geoorbit_ros.cli.images import ImageOptions
+    from geoorbit_ros.cli.resume import EarlyEnd, prepared_run
+    from geoorbit_ros.detection.detector import DetectorSettings
     from geoorbit_ros.storage.frames.source import LeftOut
     from geoorbit_ros.storage.mot_text import write_mot
 
@@ -81,33 +75,22 @@ def detect(
         expected = "a name that ends in .png or .jpg"
         raise ParameterError("option --road-image", str(road_image), expected)
     settings = DetectorSettings(min_score, class_names=parse_names(class_names))
-    left_out = None if strict else LeftOut()
-    with open_images(source, ImageOptions(fps, duration, left_out=left_out)) as images:
-        kept = kept_boxes(out, images, source, model, settings, fps, resume=resume)
-        with status("loading"):
-            detector = make_detector(model, settings)
-        if note := without_effect(detector, settings):
-            error_console.print(note, soft_wrap=True)
-        warm_up_detector(detector, images, duration, left_out)
-        run = DetectionRun(detector, kept, left_out)
+    options = ImageOptions(fps, duration, left_out=None if strict else LeftOut())
+    with prepared_run(source, out, options, model, settings, resume=resume) as (images, run):
         with EarlyEnd(images, run, out) as early:
-            frames = _Frames(run, left_out, road_image)
-            boxes = write_mot(out, frames.of(images, duration))
+            boxes = write_mot(out, _Frames(run, road_image).of(images, duration))
         print_remarks(images.remarks)
-        console.print(f" {boxes} boxes in {len(run.numbers)} images, by {detector.name}.")
-        console.print(
-            f" Wrote {out}" + (f" and {road_image}" if road_image else ""), soft_wrap=True
-        )
+        console.print(f" {boxes} boxes in {len(run.numbers)} images, by {run.detector.name}.")
+        also = f" and {road_image}" if road_image else ""
+        console.print(f" Wrote {out}{also}", soft_wrap=True)
         early.finish()
 
 
 class _Frames:
     """Rows of a detector's images, and what the image of the road needs."""
 
-    def __init__(
-        self, run: DetectionRun, left_out: LeftOut | None, road_image: Path | None
-    ) -> None:
-        self._run, self._left_out, self._road_image = run, left_out, road_image
+    def __init__(self, run: DetectionRun, road_image: Path | None) -> None:
+        self._run, self._road_image = run, road_image
         self._segments: RoadSegments | None = None
 
     def of(
@@ -129,7 +112,7 @@ class _Frames:
             yield self._run.numbers[-1], rows
         if not stamps:
             raise ParameterError(images.name, "no images", "at least one")
-        check_images(images, self._left_out, len(stamps))
+        check_images(images, self._run.left_out, len(stamps))
         note_varying_rate(images, stamps)
         if self._road_image and self._segments:
             write_image(self._road_image, draw_segments(last, self._segments))

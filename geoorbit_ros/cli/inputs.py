@@ -74,6 +74,15 @@ FpsOption = Annotated[
 StrictImagesOption = Annotated[
     bool, typer.Option("--strict", help="End at the first image that can't be used.")
 ]
+StartTimeOption = Annotated[
+    str | None,
+    typer.Option(
+        "--start-time",
+        metavar="TIME",
+        help="When a recording begins: 2026-05-01T06:00, or seconds since 1970; default: as the "
+        "file says.",
+    ),
+]
 ResumeOption = Annotated[
     bool,
     typer.Option("--resume", help="Go on where the same command ended early; see OUT.resume."),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -19,11 +19,15 @@ from geoorbit_ros.cli.inputs import (
     ModelOption,
     ResumeOption,
     SourceArgument,
+    StartTimeOption,
     StrictImagesOption,
     UpdatePeriodOption,
     load_calibration,
     parse_names,
 )
+
+if TYPE_CHECKING:
+    from geoorbit_ros.cli.camera_run import CameraJob
 
 DETECTIONS, TRACKS, VIDEO = "detections.txt", "tracks.txt", "annotated.mp4"
 
@@ -46,15 +50,7 @@ def process(
     estimator: EstimatorOption = DEFAULT_ESTIMATOR,
     datum: DatumOption = None,
     update_period_s: UpdatePeriodOption = 5.0,
-    start_time: Annotated[
-        str | None,
-        typer.Option(
-            "--start-time",
-            metavar="TIME",
-            help="When a recording begins: 2026-05-01T06:00, or seconds since 1970; default: as "
-            "the file says.",
-        ),
-    ] = None,
+    start_time: StartTimeOption = None,
     resume: ResumeOption = False,
     strict: StrictImagesOption = False,
 ) -> None:
@@ -68,50 +64,40 @@ def process(
     Example: [bold]geoorbit process north.mp4 --calibration calibration.csv --out north[/bold]
     """
     from geoorbit_ros.cli.camera_run import CameraJob
-    from geoorbit_ros.cli.console import console, error_console, print_lanes, print_remarks, status
-    from geoorbit_ros.cli.images import (
-        DetectionRun,
-        EarlyEnd,
-        ImageOptions,
-        check_images,
-        kept_boxes,
-        open_camera,
-        warm_up_detector,
-    )
-    from geoorbit_ros.detection.detector import DetectorSettings, make_detector, without_effect
+    from geoorbit_ros.cli.console import console, print_lanes, print_remarks
+    from geoorbit_ros.cli.images import ImageOptions
+    from geoorbit_ros.cli.resume import EarlyEnd, prepared_run
+    from geoorbit_ros.detection.detector import DetectorSettings
     from geoorbit_ros.scenes.output import check_new_folder
     from geoorbit_ros.storage.atomic import atomic_output
     from geoorbit_ros.storage.frames.source import LeftOut
-    from geoorbit_ros.storage.mot_text import write_mot
 
     if not resume:
         check_new_folder(out)
     homography, origin = load_calibration(calibration, datum)
     settings = DetectorSettings(min_score, class_names=parse_names(class_names))
     name = camera_id or _name(source)
-    left_out = None if strict else LeftOut()
-    options = ImageOptions(fps, duration, start_time, left_out)
-    with open_camera(source, options) as images:
-        kept = kept_boxes(out, images, source, model, settings, fps, start_time, resume=resume)
-        with status("loading"):
-            detector = make_detector(model, settings)
-        if note := without_effect(detector, settings):
-            error_console.print(note, soft_wrap=True)
-        job = CameraJob(name, calibration, homography, origin, detector, estimator, update_period_s)
-        run = job.run.detection = DetectionRun(detector, kept, left_out)
-        warm_up_detector(detector, images, duration, left_out)
+    options = ImageOptions(fps, duration, start_time, None if strict else LeftOut())
+    with prepared_run(source, out, options, model, settings, resume=resume) as (images, run):
+        job = CameraJob(name, calibration, homography, origin, run, estimator, update_period_s)
         with EarlyEnd(images, run, out) as early, atomic_output(out, overwrite=resume) as folder:
             folder.mkdir()
             job.find_lanes(images, duration, folder / VIDEO if video else None)
-            check_images(images, left_out, len(run.numbers))
-            seen = list(zip(run.numbers, job.run.seen, strict=True))
-            write_mot(folder / DETECTIONS, ((k, d) for k, (_, d, _) in seen))
-            write_mot(folder / TRACKS, ((k, t) for k, (_, _, t) in seen))
+            _write_boxes(job, folder)
             job.write(folder, images)
         print_lanes(job.lane_map, f"Lanes of {name}")
         print_remarks(images.remarks)
-        console.print(f" {len(seen)} images; wrote {out}", soft_wrap=True)
+        console.print(f" {len(run.numbers)} images; wrote {out}", soft_wrap=True)
         early.finish()
+
+
+def _write_boxes(job: CameraJob, folder: Path) -> None:
+    """Write detections.txt and tracks.txt."""
+    from geoorbit_ros.storage.mot_text import write_mot
+
+    seen = list(zip(job.detection.numbers, job.run.seen, strict=True))
+    write_mot(folder / DETECTIONS, ((number, rows) for number, (_, rows, _) in seen))
+    write_mot(folder / TRACKS, ((number, rows) for number, (_, _, rows) in seen))
 
 
 def _name(source: str) -> str:

@@ -85,7 +85,7 @@ def test_a_run_goes_on_with_the_same_images_and_options_only(
     out, model = tmp_path / "d.txt", finder(tmp_path, 7, INTERRUPT)
     words = ["detect", str(film), "--model", model, "--out", str(out)]
     assert main(words) == EXIT_INTERRUPTED
-    for option, value, named in (("--min-score", "0.5", "min score"), ("--fps", "9", "times")):
+    for option, value, named in (("--min-score", "0.5", "min score"), ("--fps", "9", "fps")):
         assert main([*words, "--resume", option, value]) == EXIT_BAD_INPUT
         assert f"found {named} {value}" in capsys.readouterr().err
     with film.open("ab") as file:
