@@ -75,8 +75,10 @@ JPEG_FORMAT = "bgr8; jpeg compressed bgr8"
 
 
 def message_class(message_type: str) -> type | None:
-    """The class of `package/msg/Name`; None when that package is not installed."""
-    package, _, name = message_type.split("/")
+    """The class of `package/msg/Name`; None for another name or a package not installed."""
+    package, _, name = message_type.partition("/msg/")
+    if not name:
+        return None
     try:
         found: type | None = getattr(import_module(f"{package}.msg"), name, None)
     except ModuleNotFoundError:

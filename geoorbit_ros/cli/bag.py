@@ -89,13 +89,19 @@ def from_csv(
 
 @app.command("info")
 def info(
-    bag: Annotated[Path, typer.Argument(help="Folder of the bag, or its .mcap or .db3 file.")],
+    bag: Annotated[Path, typer.Argument(help="Folder of the bag, or one of its files.")],
 ) -> None:
     """Show what is in a bag: topics, types, counts, duration.
 
     Example: [bold]geoorbit bag info north_bag[/bold]
     """
-    from geoorbit_ros.cli.console import console, format_size, format_time, make_table
+    from geoorbit_ros.cli.console import (
+        console,
+        format_size,
+        format_time,
+        make_table,
+        print_remarks,
+    )
     from geoorbit_ros.storage.track_bag import describe_bag
 
     found = describe_bag(bag)
@@ -107,5 +113,8 @@ def info(
     table = make_table("", "topic|type|>messages|>rate (Hz)")
     for topic in found.topics:
         rate = f"{(topic.messages - 1) / seconds:.1f}" if seconds and topic.messages > 1 else "–"
-        table.add_row(topic.name, topic.message_type, f"{topic.messages}", rate)
+        kind = topic.message_type or "unknown"
+        kind += "" if topic.encoding == "cdr" else f" ({topic.encoding})"
+        table.add_row(topic.name, kind, f"{topic.messages}", rate)
     console.print(table)
+    print_remarks(found.report)

@@ -56,7 +56,7 @@ ClassesOption = Annotated[
     ),
 ]
 StrictOption = Annotated[
-    bool, typer.Option("--strict", help="Refuse a track file that has any fault.")
+    bool, typer.Option("--strict", help="Refuse a track file or a bag that has any fault.")
 ]
 BagOption = Annotated[
     Path | None, typer.Option("--bag", help="Tracked boxes: a rosbag2 bag with a tracks_px topic.")
@@ -171,7 +171,8 @@ class CameraInput:
         homography: The road plane.
         datum: Origin of the map frame.
         image_size: (width, height) in pixels.
-        input_report: What was done with the rows of the track file.
+        input_report: What was done with the rows of the track file or bag.
+        bag_topic: The bag's topic with the boxes; empty for a track file.
     """
 
     camera_id: str
@@ -182,6 +183,7 @@ class CameraInput:
     datum: Datum
     image_size: tuple[int, int]
     input_report: InputReport
+    bag_topic: str = ""
 
     def projector(self) -> BoxProjector:
         """A fresh projector from boxes to the road."""
@@ -236,24 +238,25 @@ def load_camera(
         if out.exists() and file.exists() and out.samefile(file):
             raise ParameterError("option --out", f"{out}, an input", "another path")
     homography, origin = load_calibration(calibration, datum)
+    topic = ""
     with status(f"reading {source}"):
+        from geoorbit_ros.storage.tracks.cleaning import ReadOptions
+
+        sized = replace(options or ReadOptions(), image_size=size)
         if tracks:
-            from geoorbit_ros.storage.tracks.cleaning import ReadOptions
             from geoorbit_ros.storage.tracks.reader import read_tracks
 
             name = tracks.absolute().parent.name or "camera"
-            sized = replace(options or ReadOptions(), image_size=size)
             frames, report = read_tracks(tracks, sized)
         else:
-            from geoorbit_ros.core.input_report import InputReport
             from geoorbit_ros.storage.track_bag import read_track_bag
 
-            content = read_track_bag(source, camera_id)
-            name, frames = content.camera_id, content.frames
-            report = InputReport(str(source), "boxes", len(frames.rows))
+            content = read_track_bag(source, camera_id, sized)
+            name, topic = content.camera_id or "camera", content.topic
+            frames, report = content.frames, content.report
     note_other_classes(report, frames)
     return CameraInput(
-        camera_id or name, source, calibration, frames, homography, origin, size, report
+        camera_id or name, source, calibration, frames, homography, origin, size, report, topic
     )
 
 

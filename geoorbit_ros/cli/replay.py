@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -15,11 +19,14 @@ from geoorbit_ros.cli.inputs import (
     DatumOption,
     EstimatorOption,
     ImageSizeOption,
+    StrictOption,
     UpdatePeriodOption,
     load_camera,
+    read_options,
 )
 
 if TYPE_CHECKING:
+    from geoorbit_ros.cli.inputs import CameraInput
     from geoorbit_ros.core.lanes import LaneMap
     from geoorbit_ros.nodes.support.bag_replay import ReplayRequest
 
@@ -48,6 +55,7 @@ def replay(
             help="ROS domain, for example of RViz; default: a free one, this machine only.",
         ),
     ] = None,
+    strict: StrictOption = False,
     verbose: Annotated[bool, typer.Option("--verbose", help="Show what the nodes log.")] = False,
 ) -> None:
     """Replay a bag through the real nodes: bag_player, homography, lane_geometry (and recorder).
@@ -58,26 +66,22 @@ def replay(
     Example: [bold]geoorbit replay north_bag --calibration calibration.csv --rate 10
     --out lanes.geojson[/bold]
     """
-    from geoorbit_ros.cli.console import console, print_lanes
+    from geoorbit_ros.cli.console import console, print_lanes, print_remarks
     from geoorbit_ros.nodes.support.bag_replay import ReplayRequest
 
-    camera = load_camera(None, bag, calibration, camera_id, image_size, datum, out)
+    options = read_options(None, None, "coco", strict)
+    camera = load_camera(None, bag, calibration, camera_id, image_size, datum, out, options)
+    datum_deg = (camera.datum.latitude_deg, camera.datum.longitude_deg)
+    size, quiet = camera.image_size, not verbose
     request = ReplayRequest(
-        bag=bag,
-        calibration=calibration,
-        camera_id=camera.camera_id,
-        datum=(camera.datum.latitude_deg, camera.datum.longitude_deg),
-        image_size=camera.image_size,
-        rate=rate,
-        estimator=estimator,
-        update_period_s=update_period_s,
-        database=database,
-        domain_id=domain_id,
-        quiet=not verbose,
-    )
-    lane_map, elapsed_s = _run(request, len(camera.frames), out)
+        bag, calibration, camera.camera_id, datum_deg, size, rate, estimator, update_period_s,
+        database, domain_id, quiet,
+    )  # fmt: skip
+    with as_the_nodes_take_it(camera) as played:
+        lane_map, elapsed_s = _run(replace(request, bag=played), camera, out)
     recorded_s = (camera.frames.stamp_ns[-1] - camera.frames.stamp_ns[0]) / 1e9
     print_lanes(lane_map, f"Lanes of {camera.camera_id}")
+    print_remarks(camera.input_report)
     console.print(
         f" Replayed {len(camera.frames)} frames, {recorded_s:.1f} s, in {elapsed_s:.1f} s;"
         f" wrote {out}",
@@ -85,7 +89,21 @@ def replay(
     )
 
 
-def _run(request: ReplayRequest, frames: int, out: Path) -> tuple[LaneMap, float]:
+@contextmanager
+def as_the_nodes_take_it(camera: CameraInput) -> Iterator[Path]:
+    """The camera's bag; where its boxes had to be put right, a bag with the right ones."""
+    from geoorbit_ros.storage.track_bag import write_track_bag
+
+    if not camera.input_report.faults and camera.bag_topic == f"/{camera.camera_id}/tracks_px":
+        yield camera.source
+        return
+    with TemporaryDirectory(prefix="geoorbit_replay_") as folder:
+        bag = Path(folder) / "bag"
+        write_track_bag(bag, camera.camera_id, camera.frames)
+        yield bag
+
+
+def _run(request: ReplayRequest, camera: CameraInput, out: Path) -> tuple[LaneMap, float]:
     """Replay under a progress bar and write the lanes; the lanes, and the time it took in s."""
     from geoorbit_ros.cli.console import make_progress
     from geoorbit_ros.core.errors import NoTrafficError
@@ -93,14 +111,14 @@ def _run(request: ReplayRequest, frames: int, out: Path) -> tuple[LaneMap, float
     from geoorbit_ros.nodes.support.bag_replay import replay_bag
     from geoorbit_ros.storage.atomic import atomic_output
 
-    start = time.monotonic()
+    start, frames = time.monotonic(), len(camera.frames)
     with atomic_output(out) as path:
         with make_progress() as progress:
-            task = progress.add_task(f"replaying {request.bag}", total=frames)
+            task = progress.add_task(f"replaying {camera.source}", total=frames)
             text = replay_bag(request, lambda done: progress.update(task, completed=done))
         path.write_text(text, encoding="utf-8")
         lane_map = read_lanes(path)
         if not lane_map.lanes:
             found = f"{frames} frames, no vehicle driving along a lane"
-            raise NoTrafficError(str(request.bag), found, "vehicles driving by")
+            raise NoTrafficError(str(camera.source), found, "vehicles driving by")
     return lane_map, time.monotonic() - start

@@ -88,15 +88,19 @@ def _write_layout(nodes: Composition, viewer: ViewerNode, file: Path) -> None:
 def _add_bag(
     nodes: Composition, bag: Path, calibration: Path | None, camera_id: str | None, image_size: str
 ) -> None:
+    from geoorbit_ros.cli.console import print_remarks
     from geoorbit_ros.cli.inputs import parse_image_size
     from geoorbit_ros.nodes.bag_player import BagPlayerNode
     from geoorbit_ros.nodes.homography import HomographyNode
     from geoorbit_ros.nodes.lane_geometry import LaneGeometryNode
     from geoorbit_ros.storage.track_bag import read_track_bag
+    from geoorbit_ros.storage.tracks.cleaning import ReadOptions
 
-    camera = read_track_bag(bag, camera_id).camera_id
+    width, height = parse_image_size(image_size)
+    content = read_track_bag(bag, camera_id, ReadOptions((width, height)))
+    print_remarks(content.report)
+    camera = content.camera_id or "camera"
     if calibration is not None:
-        width, height = parse_image_size(image_size)
         nodes.make(LaneGeometryNode, camera, {})
         ground: dict[str, object] = {"calibration_file": str(calibration)}
         size = {"image_width": width, "image_height": height}

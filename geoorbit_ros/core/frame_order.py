@@ -6,6 +6,22 @@ from collections import deque
 from enum import Enum
 from statistics import median
 
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.core.input_report import InputReport, Treatment
+
+RESTART_NS = 1_000_000_000
+"""Where the stamps of a recording go back by more than this, its source has started again; as
+`restart_jump_s` of the nodes."""
+NO_STAMP_NS = 86_400_000_000_000
+"""Where stamps are later than this, one of 0 means none; earlier, a simulation's first frame.
+Chosen: a day is longer than simulations run, and far before any clock that was set."""
+CONTRADICTION_SHARE = 0.1
+"""Where time starts again in more messages than this share, stamps and receipt say different
+things. Chosen: a camera that is started again and again still sends ten frames in between."""
+Stamps = NDArray[np.int64]
+
 _INTERVALS = 31
 """Intervals behind the usual one: their median is right with up to fifteen gaps among them."""
 _MAX_GAP = 1000
@@ -56,3 +72,78 @@ class FrameOrder:
             self.missing += gap if gap <= _MAX_GAP else 0
         self._intervals.append(interval)
         return Arrival.NEXT
+
+
+def capture_times(
+    stamp_ns: Stamps, received_ns: Stamps, report: InputReport
+) -> tuple[Stamps, Stamps]:
+    """When each frame was taken, from its stamp or, where that says nothing, its receipt.
+
+    Args:
+        stamp_ns: (M,) of the messages, 0 for none; in the order of receipt.
+        received_ns: (M,) when the recorder took them.
+        report: Takes what was found.
+
+    Returns:
+        (M,) times, and (M,) how often the source has started again before.
+    """
+    run = np.zeros(len(stamp_ns), np.int64)
+    known = stamp_ns > 0
+    if not known.any():
+        if len(stamp_ns) > 1:
+            text = "messages have no time of capture (stamp 0); their times of receipt are used"
+            report.note(Treatment.REPAIRED, text)
+        return received_ns.copy(), run
+    usual = np.median(stamp_ns[known])
+    absent = (stamp_ns < 0) | (~known & (usual > NO_STAMP_NS))
+    times = stamp_ns.copy()
+    if absent.any():
+        offset = np.median(stamp_ns[known] - received_ns[known]).astype(np.int64)
+        times[absent] = received_ns[absent] + offset
+        text = (
+            f"{absent.sum()} of {len(times)} messages have no time of capture; received times count"
+        )
+        report.note(Treatment.REPAIRED, text, f"message {np.argmax(absent) + 1}")
+    run = _runs(times)
+    if run[-1] > CONTRADICTION_SHARE * len(run):
+        text = "stamps and times of receipt contradict each other; times of receipt count"
+        report.note(Treatment.DOUBTFUL, text)
+        return received_ns.copy(), np.zeros_like(run)
+    late = (np.diff(times) < 0) & (np.diff(run) == 0)
+    if late.any():
+        text = f"{late.sum()} of {len(times)} messages came after others of a later time; sorted"
+        report.note(Treatment.REPAIRED, text, f"message {np.argmax(late) + 2}")
+    return _one_after_the_other(times, run, received_ns, report), run
+
+
+def _one_after_the_other(
+    times: Stamps, run: Stamps, received_ns: Stamps, report: InputReport
+) -> Stamps:
+    """Times in which each run of a source begins as long after the last as it was received."""
+    for k in np.flatnonzero(np.diff(run)) + 1:
+        before, here = slice(None, k), run == run[k]
+        back_s = (times[before].max() - times[k]) / 1e9
+        expected = times[k - 1] + max(int(received_ns[k] - received_ns[k - 1]), 1)
+        times[here] += max(expected, times[before].max() + 1) - times[here].min()
+        text = (
+            f"time goes back by {back_s:.1f} s: the source started again; put after what was before"
+        )
+        report.note(Treatment.REPAIRED, text, f"message {k + 1}")
+    return times
+
+
+def _runs(times: Stamps) -> Stamps:
+    """(M,) how often time has gone back by more than `RESTART_NS` before each message, to stay.
+
+    A single message from before is one that came late.
+    """
+    run = np.zeros(len(times), np.int64)
+    latest = int(times[0])
+    following = [*times[1:].tolist(), latest + RESTART_NS]
+    for k, (time_ns, next_ns) in enumerate(zip(times.tolist(), following, strict=True)):
+        run[k] = run[k - 1] if k else 0
+        if max(time_ns, next_ns) < latest - RESTART_NS:
+            run[k] += 1
+            latest = time_ns
+        latest = max(latest, time_ns)
+    return run

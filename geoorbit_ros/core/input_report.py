@@ -77,10 +77,21 @@ class InputReport:
         """Note something about the file as a whole."""
         self.remarks.append(Remark(treatment, 0, text, example))
 
+    def include(self, other: InputReport) -> None:
+        """Take over another report's remarks, on things of another kind, as remarks on the file."""
+        for remark in other.remarks:
+            text = remark.sentence(other.total, other.things)
+            self.remarks.append(Remark(remark.treatment, 0, text))
+
     @property
     def left_out(self) -> int:
         """How many rows are not used."""
         return sum(r.count for r in self.remarks if r.treatment is Treatment.LEFT_OUT)
+
+    @property
+    def faults(self) -> list[Remark]:
+        """Remarks on what is not as it should be."""
+        return [r for r in self.remarks if r.treatment is not Treatment.NOTED]
 
     @property
     def doubtful(self) -> bool:
@@ -102,7 +113,7 @@ class InputReport:
         Raises:
             InputFileError: It is refused; the message names the first or the largest fault.
         """
-        faults = [r for r in self.remarks if r.treatment is not Treatment.NOTED]
+        faults = self.faults
         if strict and faults:
             first = faults[0].sentence(self.total, self.things)
             raise InputFileError(self.place, f"{first}; not accepted with --strict", expected)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
@@ -21,8 +20,8 @@ from geoorbit_ros.core.errors import InputFileError
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.nodes.support.process import run_node
 from geoorbit_ros.nodes.support.qos import LATCHED, stream_qos
-from geoorbit_ros.storage.bag_reader import bag_messages, describe_bag
-from geoorbit_ros.storage.playback import Playback, begun_at, endless, rename_camera
+from geoorbit_ros.storage.bag_reader import BagMessage, bag_messages, describe_bag
+from geoorbit_ros.storage.playback import Playback, begun_at, endless, played_topics
 
 TICK_S = 0.005
 """Between two looks at what is due. Chosen: larger, messages come later than in the recording, by
@@ -80,15 +79,24 @@ class BagPlayerNode(GeoOrbitNode[BagPlayerParameters]):
         self.paused, self.finished = p.start_paused, False
         self.topics: dict[str, Publisher] = {}
         qos = stream_qos(p.reliability, p.queue_depth)
-        for topic in describe_bag(p.bag).topics:
-            if p.topics and topic.name not in p.topics.split():
-                continue
-            message_type = message_class(topic.message_type)
-            if message_type is None:
-                self.get_logger().warning(f"{topic.name}: no {topic.message_type}, not played")
-                continue
-            name = rename_camera(topic.name, p.camera_id)
-            self.topics[topic.name] = self.create_publisher(message_type, name, qos)
+        info = describe_bag(p.bag)
+        self._remarks = list(info.report.sentences())
+        wanted = [t for t in info.topics if not p.topics or t.name in p.topics.split()]
+        names = played_topics([topic.name for topic in wanted], p.camera_id, p.bag)
+        self._types: dict[str, str] = {}
+        for topic in wanted:
+            kind = topic.message_type
+            message_type = message_class(kind) if topic.readable else None
+            if topic.name == "/clock" and p.publish_clock:
+                self._remarks.append("/clock is not played, as the player has its own")
+            elif message_type is None or topic.name in self._types:
+                self._remarks.append(f"{topic.name}: {kind or topic.encoding} is not played")
+            elif topic.name in names:
+                self._types[topic.name] = kind
+                publisher = self.create_publisher(message_type, names[topic.name], qos)
+                self.topics[topic.name] = publisher
+        for sentence in self._remarks:
+            self.get_logger().warning(f"{p.bag}: {sentence}")
         self._clock_topic = self.create_publisher(ClockMessage, "/clock", CLOCK_QOS)
         self._finished_topic = self.create_publisher(UInt64, "~/finished", LATCHED)
         self.create_service(SetBool, "~/pause", self._on_pause)
@@ -99,12 +107,21 @@ class BagPlayerNode(GeoOrbitNode[BagPlayerParameters]):
         self.create_timer(TICK_S, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def diagnostic_values(self) -> Mapping[str, object]:
-        """Where in the recording it is."""
-        return {"bag_time_s": self._playback.time_ns / 1e9, "paused": self.paused}
+        """Where in the recording it is, and what is wrong with it."""
+        return {
+            "bag_time_s": self._playback.time_ns / 1e9,
+            "paused": self.paused,
+            "bag_remarks": "; ".join(self._remarks),
+        }
+
+    def _recorded(self) -> Iterator[BagMessage]:
+        """The bag's messages from its beginning, of the types that are played."""
+        for message in bag_messages(self.p.bag, tuple(self.topics)):
+            if message.message_type == self._types[message.topic]:
+                yield message
 
     def _begin(self, p: BagPlayerParameters) -> None:
-        read = partial(bag_messages, p.bag, tuple(self.topics))
-        messages = endless(read) if p.loop else read()
+        messages = endless(self._recorded) if p.loop else self._recorded()
         if p.stamp_now:
             messages = begun_at(messages, time.time_ns())
         self._playback = Playback(messages, p.rate, p.max_gap_s, p.start_offset_s)

@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache
+from itertools import chain, islice
 
 from rosbags.typesys import Stores, get_typestore
 
 from geoorbit_ros.core.cdr import LITTLE_ENDIAN, stamp_of, with_stamp
+from geoorbit_ros.core.errors import ParameterError
+from geoorbit_ros.core.frame_order import NO_STAMP_NS
 from geoorbit_ros.storage.bag_reader import BagMessage
+
+OTHER_CLOCK_NS = 3_600_000_000_000
+"""Stamps that differ by more from the time of receipt are of another clock. Chosen: no message
+takes an hour; a clock in another time zone is off by at least that."""
+_HEAD = 20
+"""Messages at the beginning that show which clock stamps are of. Chosen: a second of a camera."""
+_STAMPED_BYTES = 12
+"""Of a message with a stamp: encapsulation, seconds, nanoseconds."""
+_TRACKS = "/tracks_px"
 
 
 class Playback:
@@ -91,10 +103,43 @@ class Playback:
         return message
 
 
-def rename_camera(topic: str, camera_id: str) -> str:
-    """A recorded topic with its first name replaced, if there is more than one and a new one."""
+def played_topics(topics: Sequence[str], camera_id: str, place: str) -> dict[str, str]:
+    """Names under which the topics of a recording are played.
+
+    Args:
+        topics: Full names in the recording.
+        camera_id: The camera to play as; empty keeps all names.
+        place: The recording, for errors.
+
+    Returns:
+        By recorded name. Of several recorded cameras only the one called `camera_id`.
+
+    Raises:
+        ParameterError: Several cameras, none of that name.
+    """
+    if not camera_id:
+        return {name: name for name in topics}
+    cameras = [name.removesuffix(_TRACKS) for name in topics if name.endswith(_TRACKS)]
+    if len(cameras) > 1:
+        if f"/{camera_id}" not in cameras:
+            names = ", ".join(camera.strip("/") for camera in cameras)
+            expected = "the name of one of them, or its topics in parameter 'topics'"
+            raise ParameterError(f"{place}, which has the cameras {names}", camera_id, expected)
+        return {name: name for name in topics if name.startswith(f"/{camera_id}/")}
+    if not cameras:
+        return {name: _renamed(name, camera_id) for name in topics}
+    old = cameras[0]
+    moved = {name: f"/{camera_id}{name.removeprefix(old)}" for name in topics}
+    return {
+        n: moved[n] if n.endswith(_TRACKS) or (old and n.startswith(f"{old}/")) else n
+        for n in topics
+    }
+
+
+def _renamed(topic: str, camera_id: str) -> str:
+    """A recorded topic with its first name replaced, if there is more than one."""
     first, _, rest = topic.strip("/").partition("/")
-    return f"/{camera_id or first}/{rest}" if rest else f"/{first}"
+    return f"/{camera_id}/{rest}" if rest else f"/{first}"
 
 
 def _from_offset(messages: Iterable[BagMessage], start_offset_s: float) -> Iterator[BagMessage]:
@@ -111,7 +156,7 @@ def endless(read: Callable[[], Iterable[BagMessage]]) -> Iterator[BagMessage]:
     Args:
         read: Reads the recording from its beginning, in the order of recording time.
     """
-    shift_ns = 0
+    shift_ns, zero_is_time = 0, False
     while True:
         first_ns = last_ns = None
         times: set[int] = set()
@@ -120,7 +165,8 @@ def endless(read: Callable[[], Iterable[BagMessage]]) -> Iterator[BagMessage]:
             last_ns = message.time_ns
             if shift_ns == 0:
                 times.add(message.time_ns)
-            yield _moved(message, shift_ns) if shift_ns else message
+                zero_is_time = zero_is_time or 0 < (_stamp(message) or 0) < NO_STAMP_NS
+            yield _moved(message, shift_ns, shift_ns, zero_is_time) if shift_ns else message
         if first_ns is None or last_ns is None:
             return
         if shift_ns == 0:
@@ -131,20 +177,39 @@ def endless(read: Callable[[], Iterable[BagMessage]]) -> Iterator[BagMessage]:
 
 
 def begun_at(messages: Iterable[BagMessage], first_ns: int) -> Iterator[BagMessage]:
-    """The messages, moved in time so that the first was recorded at `first_ns`."""
-    shift_ns: int | None = None
-    for message in messages:
-        shift_ns = first_ns - message.time_ns if shift_ns is None else shift_ns
-        yield _moved(message, shift_ns)
+    """The messages, moved in time so that the first was recorded at `first_ns`.
+
+    Stamps are moved with them. Those of another clock than the recorder's, such as a simulation's,
+    are moved so that the first is as late as its message.
+    """
+    stream = iter(messages)
+    head = list(islice(stream, _HEAD))
+    if not head:
+        return
+    shift_ns = stamp_shift_ns = first_ns - head[0].time_ns
+    zero_is_time = any(0 < (_stamp(message) or 0) < NO_STAMP_NS for message in head)
+    stamped = ((m.time_ns, s) for m in head if (s := _stamp(m)) or (s == 0 and zero_is_time))
+    for time_ns, stamp_ns in islice(stamped, 1):
+        if abs(time_ns - stamp_ns) > OTHER_CLOCK_NS:
+            stamp_shift_ns += time_ns - stamp_ns
+    for message in chain(head, stream):
+        yield _moved(message, shift_ns, stamp_shift_ns, zero_is_time)
 
 
-def _moved(message: BagMessage, shift_ns: int) -> BagMessage:
-    """A message recorded, and stamped, later by `shift_ns`."""
-    cdr = message.cdr
-    if _has_header(message.message_type) and cdr.startswith(LITTLE_ENDIAN):
-        stamp_ns = stamp_of(cdr)
-        if stamp_ns:  # a zero stamp means "none"
-            cdr = with_stamp(cdr, stamp_ns + shift_ns)
+def _stamp(message: BagMessage) -> int | None:
+    """The stamp that a message begins with, None if it begins with none."""
+    if _has_header(message.message_type) and message.cdr.startswith(LITTLE_ENDIAN):
+        return stamp_of(message.cdr) if len(message.cdr) >= _STAMPED_BYTES else None
+    return None
+
+
+def _moved(
+    message: BagMessage, shift_ns: int, stamp_shift_ns: int, zero_is_time: bool
+) -> BagMessage:
+    """A message recorded later by `shift_ns`; a stamp of 0 stays unless it is a time."""
+    stamp_ns, cdr = _stamp(message), message.cdr
+    if stamp_ns or (stamp_ns == 0 and zero_is_time):
+        cdr = with_stamp(cdr, stamp_ns + stamp_shift_ns)
     return message._replace(time_ns=message.time_ns + shift_ns, cdr=cdr)
 
 

@@ -12,6 +12,8 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
 from rosbags.interfaces import (
     Qos,
     QosDurability,
@@ -29,29 +31,25 @@ from geoorbit_ros.core.errors import (
     ParameterError,
     TableError,
 )
-from geoorbit_ros.core.tables import (
-    PIXEL_TRACK_DTYPE,
-    Frames,
-    first_bad_box,
-    first_repeated_id,
-)
+from geoorbit_ros.core.frame_order import capture_times
+from geoorbit_ros.core.input_report import InputReport
+from geoorbit_ros.core.tables import FLAG_GROUND_POINT, PIXEL_TRACK_DTYPE, Frames
 from geoorbit_ros.storage.atomic import atomic_output
-from geoorbit_ros.storage.bag_reader import (
-    BagInfo,
-    Storage,
-    describe,
-    describe_bag,
-    messages,
-    open_bag,
-)
+from geoorbit_ros.storage.bag_file import Faults
+from geoorbit_ros.storage.bag_reader import Bag, BagInfo, Storage, describe_bag, open_bag
 from geoorbit_ros.storage.pointcloud2 import MESSAGE_TYPE, decode_table, encode_table
+from geoorbit_ros.storage.tracks.cleaning import NO_ID, ReadOptions, clean_tracks
+from geoorbit_ros.storage.tracks.raw_tracks import RawTracks
 
 __all__ = ["TrackBag", "describe_bag", "read_track_bag", "write_track_bag"]
 
+Stamps = NDArray[np.int64]
+
+_EXPECTED = "a bag with tracked boxes"
 _TOPIC = "tracks_px"
 _BAG_VERSION: Literal[9] = 9
 """Metadata version of rosbag2 in Jazzy."""
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*")
 _FOREVER = QosTime(9223372036, 854775807)
 """RMW_DURATION_INFINITE."""
 _QOS = Qos(
@@ -70,10 +68,19 @@ _QOS = Qos(
 
 @dataclass(frozen=True, slots=True)
 class TrackBag:
-    """One camera's tracked boxes out of a bag; `frames` hold `PIXEL_TRACK_DTYPE`."""
+    """One camera's tracked boxes out of a bag.
+
+    Attributes:
+        camera_id: The topic's namespace; empty for a topic without one.
+        topic: Full name.
+        frames: `PIXEL_TRACK_DTYPE`.
+        report: What was done with messages and boxes.
+    """
 
     camera_id: str
+    topic: str
     frames: Frames
+    report: InputReport
 
 
 def write_track_bag(
@@ -83,7 +90,7 @@ def write_track_bag(
 
     Args:
         path: The bag's folder, which must not exist (or be empty).
-        camera_id: The camera's namespace, one ROS name.
+        camera_id: The camera's namespace, a ROS name or several with `/` between them.
         frames: Rows of `PIXEL_TRACK_DTYPE`.
         storage: `mcap` is compressed (zstd chunks), a third of the size of `sqlite3`.
 
@@ -116,74 +123,170 @@ def write_track_bag(
                 writer.write(connection, stamp_ns, cdr)
 
 
-def read_track_bag(path: str | Path, camera_id: str | None = None) -> TrackBag:
+def read_track_bag(
+    path: str | Path, camera_id: str | None = None, options: ReadOptions | None = None
+) -> TrackBag:
     """Read one camera's tracked boxes from its topic `/<camera_id>/tracks_px`.
 
+    Boxes are cleaned as those of files (`storage.tracks.cleaning`). Frames are ordered by the
+    stamps in the messages; messages with the same stamp become one frame.
+
     Args:
-        path: The bag's folder, or its only .mcap or .db3 file.
+        path: The bag's folder, or one of its files.
         camera_id: Which camera; may be left out when the bag holds one.
+        options: What the user says about the boxes.
 
     Raises:
-        InputFileError: No bag, an empty, incomplete or damaged one, or no such topic in it.
-        MessageError: Another message type on the topic, a message that is no table of tracks,
-            stamps that don't increase, a box that is none.
+        InputFileError: No bag, an empty one, no such topic in it, or one of whose messages or
+            boxes most can't be used.
+        MessageError: Another message type on the topic, or no message that is a table of tracks.
     """
-    stamps: list[int] = []
-    tables = []
-    with open_bag(path) as reader:
-        topic = _find_topic(describe(reader), camera_id)
-        place = f"{path}, {topic}"
-        for number, message in enumerate(messages(reader, [topic]), 1):
-            here = f"{place}, message {number}"
-            try:
-                stamp_ns, _, rows = decode_table(message.cdr, PIXEL_TRACK_DTYPE, place)
-            except MessageError as error:
-                raise MessageError(here, error.found, error.expected) from None
-            if stamps and stamp_ns <= stamps[-1]:
-                found = f"stamp {stamp_ns / 1e9:.9f} s after {stamps[-1] / 1e9:.9f} s"
-                raise MessageError(here, found, "stamps that increase")
-            stamps.append(stamp_ns)
-            tables.append(rows)
-    offset = np.append(0, np.cumsum([len(rows) for rows in tables])).astype(np.int64)
-    frames = Frames(np.array(stamps, np.int64), offset, np.concatenate(tables))
-    _check_boxes(frames, place)
-    return TrackBag(topic.removesuffix(f"/{_TOPIC}").strip("/"), frames)
+    options = options or ReadOptions()
+    with open_bag(path) as bag:
+        topic = _find_topic(bag.describe(), camera_id)
+        messages = _read_messages(bag, topic)
+        report = InputReport(str(path), "boxes")
+        report.include(bag.report())
+    report.include(messages.report)
+    messages.report.check(options.strict, f"tables of tracks on {topic}")
+    stamp_ns, run = capture_times(messages.stamp_ns, messages.received_ns, report)
+    boxes = messages.boxes(report, stamp_ns, run)
+    if not len(boxes):
+        report.check(options.strict, _EXPECTED)
+        frames = Frames(*_empty_frames(stamp_ns))
+    else:
+        frames, report = clean_tracks(boxes, options, _EXPECTED)
+        report.check(options.strict, _EXPECTED)
+        frames = _with_empty(frames, stamp_ns)
+    return TrackBag(topic.removesuffix(_TOPIC).strip("/"), topic, frames, report)
+
+
+@dataclass(slots=True)
+class _Messages:
+    """Tables of one topic, M messages in the order of their receipt."""
+
+    stamp_ns: Stamps
+    received_ns: Stamps
+    number: Stamps
+    tables: list[NDArray[np.void]]
+    report: InputReport
+
+    def boxes(self, report: InputReport, stamp_ns: Stamps, run: Stamps) -> RawTracks:
+        """All boxes, to be cleaned; ids of another run of the source are other tracks."""
+        order = np.argsort(stamp_ns, kind="stable")
+        stamp_ns, run, number = stamp_ns[order], run[order], self.number[order]
+        tables = [self.tables[k] for k in order]
+        rows = np.concatenate(tables)
+        sizes = [len(table) for table in tables]
+        track_id = rows["track_id"].astype(np.int64)
+        if run.any():
+            key = (np.repeat(run, sizes) << 32) + track_id
+            track_id = np.where(track_id == NO_ID, NO_ID, np.unique(key, return_inverse=True)[1])
+        report.total = len(rows)
+        flags = rows["flags"]
+        sizeless = (rows["width"] == 0) & (rows["height"] == 0)
+        return RawTracks(
+            format_name="bags",
+            row=np.repeat(number, sizes),
+            row_word="message",
+            x=rows["x"].astype(np.float64),
+            y=rows["y"].astype(np.float64),
+            width=rows["width"].astype(np.float64),
+            height=rows["height"].astype(np.float64),
+            ground_point=sizeless | ((flags & FLAG_GROUND_POINT) != 0),
+            track_id=pa.array(track_id).cast(pa.string()),
+            class_name=pa.array(rows["class_id"]).cast(pa.string()),
+            score=rows["score"].astype(np.float64),
+            report=report,
+            stamp_ns=np.repeat(stamp_ns, sizes),
+            flags=flags,
+        )
+
+
+def _read_messages(bag: Bag, topic: str) -> _Messages:
+    """All tables of a topic; messages that are none are left out, repeated ones used once."""
+    place = f"{bag.path}, {topic}"
+    stamps, received, numbers, tables = [], [], [], []
+    refused = Faults()
+    first_error: MessageError | None = None
+    last: tuple[int, bytes] | None = None
+    for number, message in enumerate(bag.messages([topic]), 1):
+        here = f"message {number}"
+        if message.message_type != MESSAGE_TYPE:
+            refused.leave_out(1, f"of type {message.message_type}", here)
+            continue
+        try:
+            stamp_ns, _, rows = decode_table(message.cdr, PIXEL_TRACK_DTYPE, place)
+        except MessageError as error:
+            first_error = first_error or MessageError(
+                f"{place}, {here}", error.found, error.expected
+            )
+            refused.leave_out(1, "no tables of tracks", f"{here}: {error.found}")
+            continue
+        if last == (message.time_ns, message.cdr):
+            refused.leave_out(1, "the same message again", here)
+            continue
+        last = message.time_ns, message.cdr
+        stamps.append(stamp_ns)
+        received.append(message.time_ns)
+        numbers.append(number)
+        tables.append(rows)
+    if first_error and not tables:
+        raise first_error
+    if not tables:
+        why = next(bag.report().sentences(), "")
+        found = f"no message on {topic} that can be read" + (f": {why}" if why else "")
+        raise InputFileError(str(bag.path), found, "a message for every frame")
+    return _Messages(
+        np.array(stamps, np.int64),
+        np.array(received, np.int64),
+        np.array(numbers, np.int64),
+        tables,
+        refused.report(str(bag.path), len(tables) + refused.counts.total()),
+    )
+
+
+def _empty_frames(stamp_ns: Stamps) -> tuple[Stamps, Stamps, NDArray[np.void]]:
+    stamps = np.unique(stamp_ns)
+    return stamps, np.zeros(len(stamps) + 1, np.int64), np.empty(0, PIXEL_TRACK_DTYPE)
+
+
+def _with_empty(frames: Frames, stamp_ns: Stamps) -> Frames:
+    """The frames and, between them, those in which nothing was seen."""
+    stamps = np.union1d(stamp_ns, frames.stamp_ns)
+    counts = np.zeros(len(stamps), np.int64)
+    counts[np.searchsorted(stamps, frames.stamp_ns)] = np.diff(frames.offset)
+    return Frames(stamps, np.append(0, np.cumsum(counts)).astype(np.int64), frames.rows)
 
 
 def _find_topic(info: BagInfo, camera_id: str | None) -> str:
     """The topic with the camera's tracks, checked to hold some."""
     if not info.messages:
-        raise InputFileError(str(info.path), "an empty bag", "a bag with messages")
-    suffix = f"/{_TOPIC}" if camera_id is None else f"/{camera_id}/{_TOPIC}"
+        first = next(info.report.sentences(), "")
+        raise InputFileError(
+            str(info.path), "an empty bag" + (f": {first}" if first else ""), "a bag with messages"
+        )
+    asked = None if camera_id is None else camera_id.strip("/").removesuffix(f"/{_TOPIC}")
+    suffix = f"/{_TOPIC}" if asked is None else f"/{asked}/{_TOPIC}"
     found = [topic for topic in info.topics if topic.name.endswith(suffix)]
-    wanted = f"a topic /{camera_id or '<camera_id>'}/{_TOPIC}"
+    if not found:  # one recorded in the root namespace may be called as the user likes
+        found = [topic for topic in info.topics if topic.name == f"/{_TOPIC}"]
+    wanted = f"a topic /{asked or '<camera_id>'}/{_TOPIC}"
     if not found:
-        there = ", ".join(f"{topic.name} ({topic.message_type})" for topic in info.topics)
-        raise InputFileError(str(info.path), f"only {there}", wanted)
-    if len(found) > 1:
-        names = ", ".join(topic.name for topic in found)
+        shown = [topic for topic in info.topics if topic.name]
+        there = ", ".join(f"{topic.name} ({topic.message_type})" for topic in shown[:8])
+        more = f" and {len(shown) - 8} more" if len(shown) > 8 else ""
+        raise InputFileError(str(info.path), f"only {there}{more}", wanted)
+    names = list(dict.fromkeys(topic.name for topic in found))
+    if len(names) > 1:
+        found_here = f"{len(names)} cameras: {', '.join(names)}"
+        raise InputFileError(str(info.path), found_here, "one, or a camera id that says which")
+    tables = [topic for topic in found if topic.message_type == MESSAGE_TYPE]
+    if not tables:
+        kind = found[0].message_type or f"unknown, in {found[0].encoding}"
+        raise MessageError(f"{info.path}, {names[0]}", f"type {kind}", MESSAGE_TYPE)
+    if not any(topic.messages for topic in tables):
         raise InputFileError(
-            str(info.path), f"{len(found)} cameras: {names}", "one, or a camera id that says which"
+            str(info.path), f"no message on {names[0]}", "a message for every frame"
         )
-    topic = found[0]
-    if topic.message_type != MESSAGE_TYPE:
-        raise MessageError(f"{info.path}, {topic.name}", f"type {topic.message_type}", MESSAGE_TYPE)
-    if not topic.messages:
-        raise InputFileError(
-            str(info.path), f"no message on {topic.name}", "a message for every frame"
-        )
-    return topic.name
-
-
-def _check_boxes(frames: Frames, place: str) -> None:
-    for row, expected in (
-        (first_bad_box(frames.rows), "finite numbers, sizes not negative"),
-        (first_repeated_id(frames), "every id at most once in a message"),
-    ):
-        if row is not None:
-            message = int(np.searchsorted(frames.offset, row, side="right"))
-            box = ", ".join(
-                f"{name} {frames.rows[name][row]:g}"
-                for name in ("track_id", "x", "y", "width", "height", "score")
-            )
-            raise MessageError(f"{place}, message {message}", f"a box with {box}", expected)
+    return names[0]

@@ -4,10 +4,12 @@ import os
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from made_bags import TRACKS, MadeMcap, tables
 from made_up_camera import MadeUpCamera
 from probe import LIMIT_S
 from rclpy.node import Node
@@ -41,6 +43,30 @@ def test_replay_at_any_rate_gives_the_bytes_of_lanes(
     for rate in ("0", "10", "37"):
         got = replay(camera, tmp_path / f"rate_{rate}.geojson", "--rate", rate, *more)
         assert got == expected, f"rate {rate}"
+
+
+def test_a_bag_with_faults_gives_the_lanes_of_lanes(
+    camera: MadeUpCamera, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Cut off, on two channels, out of order, with boxes that are none, in the root namespace."""
+    rows = camera.frames.rows.copy()
+    rows["x"][5::50] = np.nan
+    frames = Frames(camera.frames.stamp_ns, camera.frames.offset, rows)
+    messages = tables(frames.stamp_ns.tolist(), [frames.frame(k) for k in range(len(frames))])
+    messages[50], messages[51] = (
+        (2, messages[50][1], messages[51][2]),
+        (1, messages[51][1], messages[50][2]),
+    )
+    topic = ("/tracks_px", *TRACKS)
+    content = MadeMcap({1: topic, 2: topic}, chunk=20).content(messages)
+    odd = replace(camera, bag=tmp_path / "odd.mcap")
+    odd.bag.write_bytes(content[: int(0.9 * len(content))])
+    named = ("--camera-id", "north")
+    expected = lanes(odd, tmp_path / "lanes.geojson", *named)
+    assert replay(odd, tmp_path / "replay.geojson", "--rate", "0", *named) == expected
+    told = " ".join(capfd.readouterr().out.split())
+    for part in ("has no end", "a position or size that is no number", "sorted"):
+        assert told.count(part) == 2
 
 
 def test_replay_can_record_every_frame(camera: MadeUpCamera, tmp_path: Path) -> None:

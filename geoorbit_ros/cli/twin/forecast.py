@@ -8,9 +8,17 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from geoorbit_ros.cli.inputs import DatumOption, ImageSizeOption
-from geoorbit_ros.cli.twin.replay import BagsArgument, CalibrationsOption, NetOption, open_streams
+from geoorbit_ros.cli.twin.replay import (
+    BagsArgument,
+    CalibrationsOption,
+    CameraIdsOption,
+    NetOption,
+    open_streams,
+)
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from geoorbit_ros.roadnet.network import RoadNetwork
     from geoorbit_ros.twin.forecast.files import ForecastStart
     from geoorbit_ros.twin.forecast.observed_traffic import Demand
@@ -43,6 +51,7 @@ def forecast(
     ] = 300.0,
     image_size: ImageSizeOption = "1920x1080",
     datum: DatumOption = None,
+    camera_id: CameraIdsOption = None,
 ) -> None:
     """Run the traffic of a recording ahead: speeds and queues per lane, with and without changes.
 
@@ -60,7 +69,7 @@ def forecast(
     from geoorbit_ros.twin.scenario import parse_scenario
 
     with atomic_output(out) as folder:
-        streams = open_streams(bags, calibration, image_size, datum)
+        streams = open_streams(bags, calibration, image_size, datum, camera_id)
         network = load_network(net, streams[0].datum)
         place = "options --close-lane, --speed-limit"
         scenario = parse_scenario(close_lane or (), speed_limit or (), network, place)
@@ -75,12 +84,18 @@ def forecast(
         _write(folder, start, network, forecasts)
     _print(forecasts)
     say(_seen(demand))
+    _say_what_gets_through(forecasts)
+    console.print(f" Wrote {out}", soft_wrap=True)
+
+
+def _say_what_gets_through(forecasts: Sequence[Forecast]) -> None:
+    from geoorbit_ros.cli.console import say
+
     for one in forecasts:
         say(
             f"{one.scenario.capitalize()} ({one.changes}): {one.left_per_h:.0f} vehicles per hour "
             f"get through; {one.waiting} found no room to enter."
         )
-    console.print(f" Wrote {out}", soft_wrap=True)
 
 
 def _observe(

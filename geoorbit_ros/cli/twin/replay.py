@@ -29,6 +29,10 @@ CalibrationsOption = Annotated[
     list[Path],
     typer.Option("--calibration", help="Control points, a CSV per bag in the same order."),
 ]
+CameraIdsOption = Annotated[
+    list[str] | None,
+    typer.Option("--camera-id", help="Which camera, per bag; for bags that hold several."),
+]
 StepOption = Annotated[
     float, typer.Option("--step-s", min=0.01, max=1.0, help="Length of a simulation step.")
 ]
@@ -41,6 +45,7 @@ def replay(
     calibration: CalibrationsOption,
     image_size: ImageSizeOption = "1920x1080",
     datum: DatumOption = None,
+    camera_id: CameraIdsOption = None,
     step_s: StepOption = 0.1,
     align: Annotated[
         bool,
@@ -71,7 +76,7 @@ def replay(
     from geoorbit_ros.twin.figures import save_twin_figure
 
     with atomic_output(out) as folder:
-        streams = open_streams(bags, calibration, image_size, datum)
+        streams = open_streams(bags, calibration, image_size, datum, camera_id)
         network = load_network(net, streams[0].datum)
         said, driven = ["Tracks are where the cameras see them."], None
         if align:
@@ -183,9 +188,15 @@ def align_streams(
 
 
 def open_streams(
-    bags: list[Path], calibrations: list[Path], image_size: str, datum: str | None
+    bags: list[Path],
+    calibrations: list[Path],
+    image_size: str,
+    datum: str | None,
+    camera_ids: list[str] | None = None,
 ) -> list[TrackStream]:
     """Ground tracks of each bag by its calibration, the first under a progress bar.
+
+    Says what was done with bags that are not as they should be.
 
     Raises:
         GeoOrbitError: A bag or a calibration can't be used, or not one calibration per bag.
@@ -193,33 +204,40 @@ def open_streams(
     from geoorbit_ros.calibration.box_projector import BoxProjector
     from geoorbit_ros.calibration.control_points import read_control_points
     from geoorbit_ros.calibration.homography import fit_homography
-    from geoorbit_ros.cli.console import status, track
+    from geoorbit_ros.cli.console import print_remarks, status, track
     from geoorbit_ros.cli.inputs import parse_datum, parse_image_size
     from geoorbit_ros.core.errors import InputFileError, ParameterError
     from geoorbit_ros.lanes.pipeline import project_frames
     from geoorbit_ros.storage.track_bag import read_track_bag
+    from geoorbit_ros.storage.tracks.cleaning import ReadOptions
     from geoorbit_ros.twin.replay import TrackStream
 
     if len(bags) != len(calibrations):
         found = f"{len(calibrations)} for {len(bags)} bags"
         raise ParameterError("option --calibration", found, "one per bag, in the same order")
+    if camera_ids and len(camera_ids) != len(bags):
+        found = f"{len(camera_ids)} for {len(bags)} bags"
+        raise ParameterError("option --camera-id", found, "one per bag, in the same order")
     size, origin = parse_image_size(image_size), parse_datum(datum)
     streams: list[TrackStream] = []
-    for bag, file in zip(bags, calibrations, strict=True):
+    asked: list[str | None] = [*camera_ids] if camera_ids else [None] * len(bags)
+    for bag, file, camera_id in zip(bags, calibrations, asked, strict=True):
         points = read_control_points(file, origin)
         if points.datum is None:
             expected = "--datum LAT,LON: where x_m = y_m = 0 is"
             raise InputFileError(str(file), "control points in metres", expected)
         with status(f"reading {bag}"):
-            content = read_track_bag(bag)
-        if any(content.camera_id == stream.camera for stream in streams):
-            found = f"a second bag of camera '{content.camera_id}'"
+            content = read_track_bag(bag, camera_id, ReadOptions(size))
+        print_remarks(content.report)
+        name = content.camera_id or "camera"
+        if any(name == stream.camera for stream in streams):
+            found = f"a second bag of camera '{name}'"
             raise InputFileError(str(bag), found, "one bag per camera")
         projector = BoxProjector(fit_homography(points), size)
         frames = project_frames(content.frames, projector)
         if not streams:
             frames = track(frames, "driving the twin", total=len(content.frames))
-        streams.append(TrackStream(content.camera_id, frames, points.datum))
+        streams.append(TrackStream(name, frames, points.datum))
     return streams
 
 
@@ -265,6 +283,7 @@ def routes(
     calibration: CalibrationsOption,
     image_size: ImageSizeOption = "1920x1080",
     datum: DatumOption = None,
+    camera_id: CameraIdsOption = None,
 ) -> None:
     """Write the recorded traffic as SUMO's own demand: routes and vehicle types.
 
@@ -284,7 +303,7 @@ def routes(
     from geoorbit_ros.twin.sumo_simulation import SumoSimulation
 
     with atomic_output(out) as folder:
-        streams = open_streams(bags, calibration, image_size, datum)
+        streams = open_streams(bags, calibration, image_size, datum, camera_id)
         network = load_network(net, streams[0].datum)
         writer = RouteWriter(network)
         simulation = SumoSimulation(net, STEP_S)

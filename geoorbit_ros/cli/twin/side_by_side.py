@@ -97,12 +97,15 @@ def save_side_by_side(
     from geoorbit_ros.calibration.control_points import read_control_points
     from geoorbit_ros.calibration.homography import fit_homography
     from geoorbit_ros.storage.track_bag import read_track_bag
+    from geoorbit_ros.storage.tracks.cleaning import ReadOptions
     from geoorbit_ros.twin.placement import track_rows
     from geoorbit_ros.twin.side_by_side import TwinCamera
 
     homography = fit_homography(read_control_points(calibration, stream.datum))
     camera = TwinCamera(homography, image_size, network.path, stream.datum)
-    frames = read_track_bag(bag).frames
+    # A camera without a name of its own is the only one of its bag.
+    camera_id = None if stream.camera == "camera" else stream.camera
+    frames = read_track_bag(bag, camera_id, ReadOptions(image_size)).frames
     stamps = frames.stamp_ns
     k = int(np.argmin(np.abs(stamps - step.stamp_ns)))
     image = None if video is None else _image_at(video, int(stamps[k] - stamps[0]))

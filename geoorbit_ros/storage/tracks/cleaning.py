@@ -85,6 +85,8 @@ def clean_tracks(raw: RawTracks, options: ReadOptions, expected: str) -> tuple[F
     rows["score"], rows["class_id"] = _scores(raw, use), _classes(raw, options)
     rows["track_id"] = track_id
     rows["flags"] = np.where(raw.ground_point, FLAG_GROUND_POINT, 0)
+    if raw.flags is not None:
+        rows["flags"] |= raw.flags
     for name in ("width", "height"):
         rows[name][raw.ground_point] = 0.0
     at = np.flatnonzero(use)

@@ -40,6 +40,7 @@ class RawTracks:
         first_frame: Number of the first image of the recording.
         fps: Images per second, where the file says so.
         image_size: (width, height), where the file says so.
+        flags: (N,) as in `PIXEL_TRACK_DTYPE`, where the format has them.
         report: What has been found so far.
     """
 
@@ -60,6 +61,7 @@ class RawTracks:
     first_frame: int = 0
     fps: float | None = None
     image_size: tuple[int, int] | None = None
+    flags: NDArray[np.uint32] | None = None
 
     def __len__(self) -> int:
         return len(self.row)

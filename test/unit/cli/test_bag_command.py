@@ -6,8 +6,11 @@ from pathlib import Path
 
 import pytest
 from camera_files import CameraFiles
+from made_bags import TRACKS, MadeMcap
+from made_up_camera import make_camera
 
 from geoorbit_ros.cli.main import main
+from geoorbit_ros.storage.bag_reader import bag_messages
 from geoorbit_ros.storage.track_bag import read_track_bag, write_track_bag
 from geoorbit_ros.storage.track_csv import read_track_csv
 
@@ -86,5 +89,57 @@ def test_info_on_a_bag_cut_off(
     write_track_bag(tmp_path / "bag", "pole_7", read_track_csv(camera.tracks))
     data = tmp_path / "bag" / "bag.mcap"
     data.write_bytes(data.read_bytes()[:-100])
-    assert main(["bag", "info", str(tmp_path / "bag")]) == 2
-    assert "cut off or damaged" in capsys.readouterr().err
+    assert main(["bag", "info", str(tmp_path / "bag")]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "/pole_7/tracks_px" in shown
+    assert "bag.mcap has no end (cut off, or its recorder still runs)" in shown
+
+
+def as_mcap(bag: Path, made: MadeMcap, by_turns: bool, path: Path) -> Path:
+    messages = [
+        (1 + k % 2 * by_turns, message.time_ns, message.cdr)
+        for k, message in enumerate(bag_messages(bag))
+    ]
+    return made.write(path, messages)
+
+
+def lanes(bag: Path, calibration: Path, out: Path, *more: str) -> bytes:
+    words = ["lanes", "--bag", bag, "--calibration", calibration, "--out", out, *more]
+    assert main([str(word) for word in words]) == 0
+    return out.read_bytes()
+
+
+def test_lanes_of_a_bag_do_not_depend_on_the_program_that_wrote_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One topic on two channels, as after a publisher's restart; no profile."""
+    camera = make_camera(tmp_path)
+    expected = lanes(camera.bag, camera.calibration, tmp_path / "lanes.geojson")
+    assert "lanes confirmed" in " ".join(capsys.readouterr().out.split())
+    topic = (f"/{camera.camera_id}/tracks_px", *TRACKS)
+    two = as_mcap(camera.bag, MadeMcap({1: topic, 2: topic}), True, tmp_path / "two.mcap")
+    none = as_mcap(camera.bag, MadeMcap({1: topic}, profile=""), False, tmp_path / "none.mcap")
+    for bag in (two, none):
+        for more in ((), ("--camera-id", camera.camera_id), ("--strict",)):
+            assert lanes(bag, camera.calibration, tmp_path / "other.geojson", *more) == expected
+        assert main(["bag", "info", str(bag)]) == 0
+        assert capsys.readouterr().out.count("/tracks_px") == 1
+
+
+def test_a_bag_with_faults_says_them_in_summary_and_report(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    camera = make_camera(tmp_path)
+    data = camera.bag / "bag.mcap"
+    data.write_bytes(data.read_bytes()[:-2000])
+    page = tmp_path / "report.html"
+    words = ["--report", str(page)]
+    lanes(camera.bag, camera.calibration, tmp_path / "lanes.geojson", *words)
+    assert "has no end" in " ".join(capsys.readouterr().out.split())
+    assert "has no end" in page.read_text()
+    out = tmp_path / "strict.geojson"
+    options = {"bag": camera.bag, "calibration": camera.calibration, "out": out}
+    words = [word for key, value in options.items() for word in (f"--{key}", str(value))]
+    assert main(["lanes", *words, "--strict"]) == 2
+    assert "not accepted with --strict" in capsys.readouterr().err
+    assert not out.exists()

@@ -1,11 +1,17 @@
 from collections.abc import Iterable
+from itertools import islice
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from geoorbit_ros.core.cdr import stamp_of
+from geoorbit_ros.core.errors import ParameterError
+from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE
 from geoorbit_ros.storage.bag_reader import BagMessage
-from geoorbit_ros.storage.playback import Playback, rename_camera
+from geoorbit_ros.storage.playback import Playback, begun_at, endless, played_topics
+from geoorbit_ros.storage.pointcloud2 import MESSAGE_TYPE, encode_table
 
 SECOND_NS = 10**9
 
@@ -99,13 +105,51 @@ def test_an_offset_leaves_out_the_beginning(times_s: list[float], offset_s: floa
 
 
 @pytest.mark.parametrize(
-    ("topic", "camera_id", "expected"),
+    ("topics", "camera_id", "expected"),
     [
-        ("/north/tracks_px", "south", "/south/tracks_px"),
-        ("/north/a/b", "south", "/south/a/b"),
-        ("/north/tracks_px", "", "/north/tracks_px"),
-        ("/tf", "south", "/tf"),
+        (["/n/tracks_px", "/n/a/b", "/tf"], "south", ["/south/tracks_px", "/south/a/b", "/tf"]),
+        (["/north/tracks_px"], "", ["/north/tracks_px"]),
+        (["/site/pole/tracks_px", "/site/x"], "south", ["/south/tracks_px", "/site/x"]),
+        (["/tracks_px", "/x"], "south", ["/south/tracks_px", "/x"]),
+        (["/north/image", "/tf"], "south", ["/south/image", "/tf"]),
+        (["/a/tracks_px", "/b/tracks_px", "/b/x"], "b", ["/b/tracks_px", "/b/x"]),
     ],
-)
-def test_only_the_cameras_name_changes(topic: str, camera_id: str, expected: str) -> None:
-    assert rename_camera(topic, camera_id) == expected
+)  # fmt: skip
+def test_only_the_cameras_name_changes(
+    topics: list[str], camera_id: str, expected: list[str]
+) -> None:
+    assert list(played_topics(topics, camera_id, "bag").values()) == expected
+
+
+def test_two_cameras_are_never_played_as_one() -> None:
+    with pytest.raises(ParameterError, match="cameras a, b: found c, expected the name of one"):
+        played_topics(["/a/tracks_px", "/b/tracks_px"], "c", "bag")
+
+
+def stamped(time_ns: int, stamp_ns: int) -> BagMessage:
+    empty = np.empty(0, PIXEL_TRACK_DTYPE)
+    return BagMessage("/c/tracks_px", MESSAGE_TYPE, time_ns, encode_table(stamp_ns, "c", empty))
+
+
+def stamps(messages: Iterable[BagMessage]) -> list[int]:
+    return [stamp_of(message.cdr) for message in messages]
+
+
+DAY_NS = 86_400 * SECOND_NS
+
+
+@pytest.mark.parametrize("received_ns", [0, 20_000 * DAY_NS])
+def test_a_simulations_first_stamp_of_zero_is_a_time(received_ns: int) -> None:
+    """Recorded with the simulation's clock, or with the computer's."""
+    recording = [stamped(received_ns + t * SECOND_NS, t * SECOND_NS) for t in range(3)]
+    now = 20_500 * DAY_NS
+    assert stamps(begun_at(recording, now)) == [now + t * SECOND_NS for t in range(3)]
+    twice = list(islice(endless(lambda: recording), 6))
+    assert stamps(twice) == [t * SECOND_NS for t in range(6)]
+
+
+def test_a_stamp_of_zero_means_none_where_others_are_of_today() -> None:
+    today = 20_000 * DAY_NS
+    recording = [stamped(today, 0), stamped(today + SECOND_NS, today + SECOND_NS - 5)]
+    assert stamps(begun_at(recording, today + DAY_NS)) == [0, today + DAY_NS + SECOND_NS - 5]
+    assert stamps(islice(endless(lambda: recording), 3))[2] == 0
