@@ -32,9 +32,21 @@ LOADS = re.compile(
 )
 """What a browser would load from another host."""
 
+VIEW = re.compile(r'viewBox="\S+ \S+ (\S+) (\S+)"')
+"""Width and height of a drawing."""
+SHORT = re.compile(r"<code>([^<]{1,24})</code>")
+"""Code in a sentence that even a phone has in one line."""
+FIGURES = re.compile(r"<td( [^>]*)?>((?:<strong>)?[^<>A-Za-z]*\d[^<>A-Za-z]*(?:</strong>)?)</td>")
+"""Cells of a table with figures and no word."""
+RICH = re.compile(r"\[bold\](.*?)\[/bold\]", re.DOTALL)
+"""Rich's markup of bold text, in the help texts of the commands."""
+
 LIST = re.compile(r"^  (\w+) --> (.+)$", re.MULTILINE)
 WIDE = ("architecture.md", "results.md")
 """Pages with wide tables or drawings: these get the place of the table of contents, too."""
+
+BOOST = {"glossary.md": 8.0, "guide": 2.0, "index.md": 2.0, "api": 0.2, "adr": 0.2}
+"""How high a page stands in the search, by how its name begins: what users read comes first."""
 
 diagrams: dict[str, str] = {}
 """Drawn diagrams by file name, also written as files of their own."""
@@ -73,9 +85,17 @@ def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
     source = page.file.src_uri
     if source not in OUTSIDE.values() and not source.startswith("api/"):
         markdown = moved_links(markdown, ROOT / "docs" / source, source)
+    page.meta["search"] = {"boost": BOOST.get(source.partition("/")[0].partition("-")[0], 1.0)}
     if source in WIDE:
         page.meta["hide"] = ["toc"]
     return DIAGRAM.sub(lambda block: drawn(block[1], source), markdown)
+
+
+def on_page_content(html: str, **_: Any) -> str:
+    """Keep short code and figures on one line; show the commands of help texts as code."""
+    html = RICH.sub(r"<code>\1</code>", html)
+    html = SHORT.sub(r'<code class="short">\1</code>', html)
+    return FIGURES.sub(r'<td\1 class="figures">\2</td>', html)
 
 
 def on_post_build(config: MkDocsConfig) -> None:
@@ -83,7 +103,10 @@ def on_post_build(config: MkDocsConfig) -> None:
     folder = Path(config.site_dir) / "diagrams"
     folder.mkdir(exist_ok=True)
     for name, svg in diagrams.items():
-        (folder / name).write_text(svg, encoding="utf-8")
+        alone = VIEW.sub(
+            r'\g<0> width="\1" height="\2"', svg.replace(' width="100%"', "", 1), count=1
+        )
+        (folder / name).write_text(alone, encoding="utf-8")
     for page in sorted(Path(config.site_dir).rglob("*.html")):
         if found := LOADS.search(page.read_text(encoding="utf-8")):
             raise PluginError(f"{page}: loads {found[0]!r} from another host")
