@@ -139,7 +139,8 @@ def print_lanes(lane_map: LaneMap, title: str = "Lanes") -> None:
     from geoorbit_ros.report.text import compass, missing_sentence, number, summary_sentence
 
     table = make_table(
-        title, ">lane|>number|status|direction|>width m|>vehicles|>confidence|>length m|>± m"
+        title,
+        ">lane\nid|>lane\nno.|status|towards|>width m|>vehicles|>confi-\ndence|>length\nm|>± m",
     )
     numbers = lane_numbers(lane_map.lanes)
     for lane in left_to_right(lane_map.lanes):
@@ -173,7 +174,7 @@ def print_score(score: LaneScore) -> None:
 
     table = make_table(
         "Compared with the true lanes",
-        ">truth|>vehicles|>lane|status|>error m|>95 % m|>bias m|>width m|>covered",
+        ">truth|>vehicles|>lane\nid|status|>error m|>95 % m|>bias m|>width m|>covered",
     )
     for row in score.lanes:
         if row.lane_id is None:

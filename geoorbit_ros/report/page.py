@@ -27,6 +27,12 @@ from geoorbit_ros.report.text import (
 )
 from geoorbit_ros.report.views import image_view, map_view, section_view
 
+LANE_NOTE = (
+    '<p class="note">The id of a lane stays the same, and the drawings show it. The lane number '
+    "counts from the outer edge of the road (1) to the middle, in each direction.</p>"
+)
+"""Below the table of lanes."""
+
 
 @dataclass(frozen=True, slots=True)
 class ReportInput:
@@ -65,7 +71,7 @@ def report_html(content: ReportInput) -> str:
     parts = [
         f"<header><p class='kicker'>Lane report</p><h1>{escape(title)}</h1>"
         f"<p class='lead'>{escape(summary_sentence(lanes))}</p>{_tiles(content)}</header>",
-        _section("Lanes", lane_table(lanes) + _list(tentative)),
+        _section("Lanes", lane_table(lanes) + _list(tentative) + LANE_NOTE),
         _drawings(content),
         _histograms(content),
     ]

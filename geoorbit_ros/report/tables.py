@@ -36,8 +36,8 @@ def lane_table(lanes: Sequence[Lane]) -> str:
     colour, numbers = direction_groups(lanes), lane_numbers(lanes)
     return table(
         (
-            "Lane",
-            ">Number",
+            "Lane id",
+            ">Lane no.",
             "Status",
             "Direction",
             ">Width, m",

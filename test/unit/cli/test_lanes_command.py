@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from camera_files import CameraFiles, write_tracks
 
+from geoorbit_ros.cli.console import console
 from geoorbit_ros.cli.main import main
 
 Run = Callable[..., tuple[int, str, str]]
@@ -53,6 +54,17 @@ def test_lanes_are_found_and_score_against_the_truth(
     data = json.loads(found.read_text(encoding="utf-8"))
     assert data["geoorbit"]["camera_id"] == camera.folder.name
     assert found.with_name("report.html").stat().st_size > 10_000
+
+
+def test_tables_fit_in_a_terminal_of_80_columns(
+    camera: CameraFiles, found: Path, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(console, "width", 80)
+    for words in (lanes_of(camera, tmp_path / "l.geojson"), ("score", found, camera.truth)):
+        code, out, _ = run(*words)
+        assert code == 0
+        assert "confirmed" in out
+        assert "…" not in out
 
 
 def test_lanes_prints_a_row_per_lane(camera: CameraFiles, tmp_path: Path, run: Run) -> None:
