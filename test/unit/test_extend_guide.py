@@ -75,9 +75,9 @@ def test_the_fleet_of_the_guide_loads_its_plugins(written: Path) -> None:
     (block,) = re.findall(r"```yaml\n(.*?)```", GUIDE, re.DOTALL)
     fleet = written / "fleet.yaml"
     fleet.write_text(block, encoding="utf-8")
-    (written / "out/plugin-film").mkdir(parents=True)
+    (written / "out/plugin_film").mkdir(parents=True)
     for name in ("video.mp4", "calibration.csv"):
-        (written / "out/plugin-film" / name).touch()
+        (written / "out/plugin_film" / name).touch()
     assert main(["up", str(fleet), "--dry-run"]) == 0
     content, _ = load_fleet(fleet)
     plans = plan_fleet(content, fleet.parent, fleet.parent / "out")
