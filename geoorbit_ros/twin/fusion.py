@@ -77,10 +77,15 @@ class Fusion:
         vehicles: The vehicles; changed with every update.
         cameras: How many there are.
         on_road: For points (M, 2), whether a vehicle may enter there.
+
+    Attributes:
+        counts: What happened so far.
+        false_since_ns: Ids of vehicles found false in the last step, and since when they were none.
     """
 
     def __init__(self, vehicles: Vehicles, cameras: int, on_road: OnRoad) -> None:
         self.counts = FusionCounts()
+        self.false_since_ns: dict[int, int] = {}
         self._vehicles, self._on_road = vehicles, on_road
         self._bound: list[dict[int, int]] = [{} for _ in range(cameras)]
         self._near_s: dict[tuple[int, int], float] = {}
@@ -260,7 +265,10 @@ class Fusion:
     def _drop_false_tracks(self, time_ns: int, step_s: float) -> None:
         """Take the tracks from vehicles that can't be real; the vehicles leave with this step."""
         table = self._vehicles.table
+        self.false_since_ns = {}
         for slot in self._false_tracks.find(time_ns, step_s).tolist():
+            since_ns = self._false_tracks.false_since_ns(slot, time_ns)
+            self.false_since_ns[int(table["vehicle_id"][slot])] = since_ns
             for camera, bound in enumerate(self._bound):
                 for track in [t for t, s in bound.items() if s == slot]:
                     del bound[track]

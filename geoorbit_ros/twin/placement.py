@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +47,8 @@ class TwinStep:
         wanted_xy: (M, 2) where the tracks say it is.
         wanted_heading_rad: (M,) as tracked.
         cost_s: Time that the step took.
+        false_since_ns: Ids of vehicles that were found to be none, and since when: a box that
+            stands where others drive. They are not in this step; what earlier steps said is void.
     """
 
     stamp_ns: int
@@ -63,6 +66,7 @@ class TwinStep:
     wanted_xy: NDArray[np.float64]
     wanted_heading_rad: NDArray[np.float64]
     cost_s: float
+    false_since_ns: Mapping[int, int] = field(default_factory=dict)
 
 
 class Placement:

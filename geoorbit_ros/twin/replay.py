@@ -94,12 +94,15 @@ def replay_tracks(
         SimulationError: SUMO is gone.
     """
     window = HealthWindow()
-    vehicles = 0
+    first_ns: dict[int, int] = {}
 
     def take(step: TwinStep) -> None:
-        nonlocal vehicles
         window.add(step)
-        vehicles = max(vehicles, int(step.vehicle_id.max(initial=0)))
+        for vehicle in step.vehicle_id.tolist():
+            first_ns.setdefault(vehicle, step.stamp_ns)
+        for vehicle, since_ns in step.false_since_ns.items():
+            if since_ns <= first_ns.get(vehicle, since_ns):
+                first_ns.pop(vehicle, None)  # it never was a vehicle
         on_step(step)
 
     names = [stream.camera for stream in streams]
@@ -117,7 +120,7 @@ def replay_tracks(
         twin.add(camera, stamp_ns, rows)
         tracks.update((camera, track) for track in rows["track_id"].tolist())
     twin.finish()
-    return ReplayScore(window.report(), twin.fusion.counts, vehicles, len(tracks))
+    return ReplayScore(window.report(), twin.fusion.counts, len(first_ns), len(tracks))
 
 
 def _named(stream: TrackStream) -> Iterator[tuple[int, str, NDArray[np.void]]]:
@@ -128,7 +131,8 @@ def _named(stream: TrackStream) -> Iterator[tuple[int, str, NDArray[np.void]]]:
 class StateWriter:
     """Writes the vehicles of every step as CSV with `COLUMNS`; a context manager.
 
-    Time is the tracks' own; positions are the middle of the footprint; headings are clockwise
+    A vehicle that is found to be none (`TwinStep.false_since_ns`) is left out again. Time is the
+    tracks' own; positions are the middle of the footprint; headings are clockwise
     from north; `lane` is SUMO's id, empty beside the network; `observed` is 0 where no camera saw
     the vehicle and it went on along its lane.
 
@@ -140,6 +144,7 @@ class StateWriter:
     def __init__(self, path: Path, network: RoadNetwork) -> None:
         self._path, self._network = path, network
         self._file: IO[str] | None = None
+        self._false_since_ns: dict[int, int] = {}
 
     def __enter__(self) -> StateWriter:
         self._file = self._path.open("w", encoding="utf-8")
@@ -154,10 +159,26 @@ class StateWriter:
     ) -> None:
         if self._file is not None:
             self._file.close()
+        if self._false_since_ns and error is None:
+            self._leave_out()
+
+    def _leave_out(self) -> None:
+        """Write the file once more, without the vehicles that were none."""
+        whole = self._path.with_suffix(".all.csv")
+        self._path.replace(whole)
+        with whole.open(encoding="utf-8") as lines, self._path.open("w", encoding="utf-8") as out:
+            out.write(next(lines))
+            for line in lines:
+                time_s, vehicle, _ = line.split(",", 2)
+                since_ns = self._false_since_ns.get(int(vehicle))
+                if since_ns is None or float(time_s) < since_ns / 1e9 - 0.0005:
+                    out.write(line)
+        whole.unlink()
 
     def write(self, step: TwinStep) -> None:
         """Write the vehicles of one step."""
         assert self._file is not None, "use it in a with statement"
+        self._false_since_ns.update(step.false_since_ns)
         kept = np.isfinite(step.xy[:, 0])
         geodetic = self._network.datum.to_geodetic(step.xy[kept])
         heading = np.degrees(0.5 * np.pi - step.heading_rad[kept]) % 360.0

@@ -76,6 +76,11 @@ class RouteWriter:
             self._start_ns = step.stamp_ns
         time_s = (step.stamp_ns - self._start_ns) * 1e-9
         network = self._network
+        for vehicle, since_ns in step.false_since_ns.items():
+            seen = self._seen.get(vehicle)
+            # One that drove before is a vehicle: its track went on with something else.
+            if seen is not None and (since_ns - self._start_ns) * 1e-9 <= seen.begin_s:
+                del self._seen[vehicle]
         kept = step.observed & (step.lane != NO_LANE) & np.isfinite(step.xy[:, 0])
         for k in np.flatnonzero(kept).tolist():
             lane, xy = int(step.lane[k]), step.xy[k]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -154,6 +155,8 @@ class Synchronizer:
             table["heading"][slots], np.hypot(*table["velocity"][slots].T), found.heading_rad
         )
         step = self.placement.step(now_ns, slots, start)
+        if self.fusion.false_since_ns:
+            step = replace(step, false_since_ns=self.fusion.false_since_ns)
         self.steps += 1
         self._on_step(step)
 

@@ -93,6 +93,8 @@ VEHICLE_DTYPE = np.dtype(
         ("cameras", "<i8"),
         ("possible_mps", "<f8"),
         ("slow_s", "<f8"),
+        ("entry", "<f8", 2),
+        ("entry_ns", "<i8"),
         ("anchor", "<f8", 2),
         ("anchor_ns", "<i8"),
         ("lane", "<i8"),
@@ -110,8 +112,9 @@ VEHICLE_DTYPE = np.dtype(
 `course` as driven (`synchronizer.plausible_course`); `kind` is a number in `TYPES`; `observed`: a
 track has it in this step, `predicted`: only as a prediction; `cameras`: how many see it;
 `possible_mps`: the least speed that braking allows, `slow_s`: how long it has been far below,
-`anchor…`: where and since when it stands (`false_tracks`); `within`: between the borders of its
-lane; `entered`: whether SUMO has it, `sim_…`: its type and size there."""
+`entry…`: where and when it entered, `anchor…`: where and since when it stands (`false_tracks`);
+`within`: between the borders of its lane; `entered`: whether SUMO has it, `sim_…`: its type and
+size there."""
 
 _MEMORY = 0.98
 """Weight that class votes keep from step to step: half is left after 3.4 s at 10 Hz. Chosen: larger

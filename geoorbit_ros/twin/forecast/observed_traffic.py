@@ -86,6 +86,8 @@ class ObservedTraffic:
         if self.last is not None and step.stamp_ns < self.last.stamp_ns:
             self._samples.clear()  # the source started again
         self.last = step
+        for vehicle, since_ns in step.false_since_ns.items():
+            self._forget(vehicle, since_ns)
         if self._samples and step.stamp_ns < self._samples[-1][0] + SAMPLE_NS:
             return
         kept = step.observed & (step.lane != NO_LANE) & np.isfinite(step.xy[:, 0])
@@ -96,6 +98,12 @@ class ObservedTraffic:
         self._samples.append((step.stamp_ns, rows))
         while self._samples[0][0] < step.stamp_ns - self._window_ns:
             self._samples.popleft()
+
+    def _forget(self, vehicle: int, since_ns: int) -> None:
+        """Take back what was sampled of a vehicle that was none."""
+        for k, (stamp_ns, rows) in enumerate(self._samples):
+            if stamp_ns >= since_ns and (rows["vehicle"] == vehicle).any():
+                self._samples[k] = stamp_ns, rows[rows["vehicle"] != vehicle]
 
     @property
     def time_s(self) -> float:
