@@ -17,6 +17,7 @@ from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from geoorbit_ros.core.addresses import masked
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.core.plugins import FORM, FROM_FILES, expected, is_name, registered
 from geoorbit_ros.core.resources import share_path
@@ -45,6 +46,7 @@ class ParameterSpec:
         choices: The only values accepted.
         not_empty: Whether an empty string is refused.
         renamed_from: What it was called before; that name still works, with a warning.
+        address: Whether it may be an address with a password, which no other node is told.
         plugin: Kind of `core.plugins` whose names are accepted, and files where it takes them.
     """
 
@@ -59,6 +61,7 @@ class ParameterSpec:
     not_empty: bool = False
     renamed_from: str = ""
     plugin: str = ""
+    address: bool = False
 
     @property
     def expected(self) -> str:
@@ -102,7 +105,7 @@ class ParameterSpec:
             value = float(value)
         if type(value) is wanted and self._allows(value):
             return value  # type: ignore[return-value]  # its type is one of _TYPES
-        found = repr(value) if isinstance(value, str) else str(value)
+        found = repr(masked(value)) if isinstance(value, str) else str(value)
         raise ParameterError(f"{place}, parameter '{self.name}'", found, self.expected)
 
     def _allows(self, value: Any) -> bool:
@@ -138,7 +141,7 @@ def _spec(name: str, entry: dict[str, Any], place: str) -> ParameterSpec:
         raise ParameterError(where, f"type {rest.get('type')}", " or ".join(_TYPES))
     unknown = (
         set(rest) - {"type", "default_value", "description", "read_only", "renamed_from"}
-    ) | (set(rules) - {"bounds", "gt", "one_of", "not_empty", "plugin"})
+    ) | (set(rules) - {"bounds", "gt", "one_of", "not_empty", "plugin", "address"})
     if unknown or "default_value" not in rest or not rest.get("description"):
         found = f"keys {', '.join(sorted({*rest, *rules}))}"
         expected_keys = "type, default_value, description, read_only, renamed_from, rules"
@@ -155,6 +158,7 @@ def _spec(name: str, entry: dict[str, Any], place: str) -> ParameterSpec:
         plugin=rules["plugin"][0] if "plugin" in rules else "",
         choices=tuple(rules["one_of"][0]) if "one_of" in rules else (),
         not_empty="not_empty" in rules,
+        address="address" in rules,
     )
 
 
@@ -210,6 +214,11 @@ class NodeParameters(Generic[Struct]):
             dynamic_typing=True,
         )
         start = self._renamed(node, spec) if spec.renamed_from else spec.default
+        # Where rclpy keeps what was given; no function of it tells before everybody is told.
+        given = node._parameter_overrides.get(spec.name)  # noqa: SLF001
+        if spec.address and given is not None and isinstance(given.value, str):
+            node.declare_parameter(spec.name, masked(given.value), descriptor, ignore_override=True)
+            return spec.checked(given.value, self._place)
         found = node.declare_parameter(spec.name, start, descriptor).value
         return spec.checked(found, self._place)
 

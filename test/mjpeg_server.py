@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import threading
 from collections.abc import Iterable, Sequence
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -30,10 +31,12 @@ class MjpegServer:
     Attributes:
         address: To open with FFmpeg.
         opened: Connections so far.
+        credentials: `user:password` that it asks for (RFC 7617); empty: none.
     """
 
     def __init__(self, *connections: Sequence[np.ndarray]) -> None:
         self.opened = 0
+        self.credentials = ""
         self._connections = connections
         self._released = threading.Event()
         outer = self
@@ -51,6 +54,13 @@ class MjpegServer:
         self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
 
     def serve(self, handler: BaseHTTPRequestHandler) -> None:
+        given = handler.headers.get("Authorization", "").removeprefix("Basic ")
+        if self.credentials and base64.b64decode(given).decode() != self.credentials:
+            handler.send_response(401)
+            handler.send_header("WWW-Authenticate", 'Basic realm="camera"')
+            handler.send_header("Content-Length", "0")
+            handler.end_headers()
+            return
         self.opened += 1
         if self.opened > len(self._connections):
             handler.send_error(503)

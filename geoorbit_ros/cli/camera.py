@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from geoorbit_ros.cli.inputs import CalibrationOption, DatumOption, ModelOption, SourceArgument
+from geoorbit_ros.cli.inputs import (
+    CalibrationOption,
+    DatumOption,
+    ModelOption,
+    PasswordFileOption,
+    SourceArgument,
+)
 
 if TYPE_CHECKING:
     import numpy as np
@@ -35,6 +41,7 @@ def add(
         float, typer.Option("--duration", min=1.0, metavar="SECONDS", help="How long to watch.")
     ] = 60.0,
     datum: DatumOption = None,
+    password_file: PasswordFileOption = None,
     replace: Annotated[
         bool, typer.Option("--replace", help="Put it in the place of the camera with this id.")
     ] = False,
@@ -63,9 +70,9 @@ def add(
         check_new_folder(out)
     check_new_camera(fleet, camera_id, replace=replace)
     plane = load_calibration(calibration, datum)
-    options, settings = ImageOptions(duration_s=duration, left_out=LeftOut()), DetectorSettings()
+    watched = ImageOptions(None, duration, "", LeftOut(), password_file)
     with (
-        prepared_run(source, out, options, model, settings, resume=None) as (images, run),
+        prepared_run(source, out, watched, model, DetectorSettings(), resume=None) as (images, run),
         atomic_output(out, overwrite=replace) as folder,
     ):
         job = CameraJob(camera_id, calibration, *plane, run)
@@ -73,14 +80,13 @@ def add(
         _show_calibration(plane[0], first_image(images), folder / CALIBRATION_IMAGE)
         job.find_lanes(images, duration)
         job.write(folder, images)
-        add_camera(fleet, _entry(job, source, model, fleet), replace=replace)
+        entry = _entry(job, source, password_file, model, fleet)
+        add_camera(fleet, entry, replace=replace)
     print_remarks(images.remarks)
     print_lanes(job.lane_map, f"Lanes of {camera_id} after {duration:g} s")
     say(f"Look at {out / CALIBRATION_IMAGE} and {out / REPORT}.")
-    console.print(
-        f" Camera {camera_id} is in {fleet}. To run it: {as_typed(f'up {fleet}')}",
-        soft_wrap=True,
-    )
+    run_it = as_typed(f"up {fleet}")
+    console.print(f" Camera {camera_id} is in {fleet}. To run it: {run_it}", soft_wrap=True)
 
 
 @app.command("remove")
@@ -99,13 +105,16 @@ def remove(
     say(f"Removed {camera_id} from {fleet}; it has {', '.join(c.id for c in left.cameras)}.")
 
 
-def _entry(job: CameraJob, source: str, model: Path | None, fleet: Path) -> dict[str, object]:
+def _entry(
+    job: CameraJob, source: str, password_file: Path | None, model: Path | None, fleet: Path
+) -> dict[str, object]:
     """The camera as the fleet file names it."""
+    from geoorbit_ros.core.addresses import masked
     from geoorbit_ros.fleet.fleet_file import relative
 
     entry: dict[str, object] = {
         "id": job.camera_id,
-        "source": relative(Path(source), fleet) if Path(source).exists() else source,
+        "source": relative(Path(source), fleet) if Path(source).exists() else masked(source),
         "calibration": relative(job.calibration, fleet),
         "image_size": list(job.run.image_size),
         "datum": {
@@ -115,17 +124,31 @@ def _entry(job: CameraJob, source: str, model: Path | None, fleet: Path) -> dict
     }
     if model is not None:
         entry["model"] = relative(model, fleet)
-    return entry
+    return entry | _password(source, password_file, job, fleet)
+
+
+def _password(
+    source: str, password_file: Path | None, job: CameraJob, fleet: Path
+) -> dict[str, object]:
+    """Where the fleet finds the camera's password: a file that only its owner can read."""
+    from geoorbit_ros.core.addresses import is_address, secrets_of
+    from geoorbit_ros.fleet.fleet_file import relative
+
+    if password_file is None and is_address(source) and (secrets := secrets_of(source)):
+        password_file = fleet.absolute().parent / f"{job.camera_id}.password"
+        password_file.touch(mode=0o600)
+        password_file.chmod(0o600)
+        password_file.write_text("\n".join(secrets) + "\n", encoding="utf-8")
+    return {} if password_file is None else {"password_file": relative(password_file, fleet)}
 
 
 def _show_calibration(homography: Homography, image: NDArray[np.uint8], out: Path) -> None:
     """Draw the control points into an image file, and print their errors."""
-    import cv2
-
     from geoorbit_ros.cli.console import console, make_table, say
     from geoorbit_ros.report.calibration_image import REACH_M, draw_calibration, reach
+    from geoorbit_ros.report.image_overlay import write_image
 
-    cv2.imwrite(str(out), draw_calibration(image, homography))
+    write_image(out, draw_calibration(image, homography))
     table = make_table("Control points", ">point|>pixel x|>pixel y|>error px|>error m|used")
     residual = homography.residual
     for k, (x, y) in enumerate(homography.points.pixel):

@@ -14,6 +14,7 @@ from geoorbit_ros.cli.inputs import (
     FpsOption,
     MinScoreOption,
     ModelOption,
+    PasswordFileOption,
     ResumeOption,
     SourceArgument,
     StrictImagesOption,
@@ -47,6 +48,7 @@ def detect(
         Path | None,
         typer.Option("--road-image", help="Also draw where vehicles drive, as a .png or .jpg."),
     ] = None,
+    password_file: PasswordFileOption = None,
     resume: ResumeOption = False,
     strict: StrictImagesOption = False,
     picture: Annotated[Path | None, typer.Option("--picture", hidden=True)] = None,
@@ -75,7 +77,7 @@ def detect(
         expected = "a name that ends in .png or .jpg"
         raise ParameterError("option --road-image", str(road_image), expected)
     settings = DetectorSettings(min_score, class_names=parse_names(class_names))
-    options = ImageOptions(fps, duration, left_out=None if strict else LeftOut())
+    options = ImageOptions(fps, duration, "", None if strict else LeftOut(), password_file)
     with prepared_run(source, out, options, model, settings, resume=resume) as (images, run):
         with EarlyEnd(images, run, out) as early:
             boxes = write_mot(out, _Frames(run, road_image).of(images, duration))

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.core.addresses import read_password, with_password
 from geoorbit_ros.core.errors import InputFileError, ParameterError
 from geoorbit_ros.core.input_report import Treatment
 from geoorbit_ros.detection.detector import Detector
@@ -39,12 +41,14 @@ class ImageOptions:
         duration_s: Option `--duration`.
         start: Option `--start-time`; None: the file's own, empty: none.
         left_out: Collects images that can't be used; None: the first ends the command.
+        password_file: Option `--password-file`.
     """
 
     fps: float | None = None
     duration_s: float | None = None
     start: str | None = ""
     left_out: LeftOut | None = None
+    password_file: Path | None = None
 
     def source_options(self, report: Callable[[str], None]) -> SourceOptions:
         """The same for `open_frame_source`."""
@@ -73,6 +77,9 @@ def open_images(source: str, options: ImageOptions) -> FrameSource:
     def say(text: str) -> None:
         error_console.print(text, style="dim", soft_wrap=True)
 
+    if options.password_file is not None:
+        place = "option --password-file"
+        source = with_password(source, read_password(options.password_file, place), place)
     with status("opening"):
         images = open_frame_source(source, options.source_options(say), SCENES)
     if images.live and options.duration_s is None:

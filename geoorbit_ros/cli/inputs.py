@@ -74,6 +74,14 @@ FpsOption = Annotated[
 StrictImagesOption = Annotated[
     bool, typer.Option("--strict", help="End at the first image that can't be used.")
 ]
+PasswordFileOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--password-file",
+        help="File with the password of a stream whose address names the user alone, "
+        "rtsp://USER@HOST/PATH: what stands on the command line, others can read.",
+    ),
+]
 StartTimeOption = Annotated[
     str | None,
     typer.Option(

@@ -27,12 +27,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with Interruption(ends_process=arguments is None) as interruption:
         try:
             from geoorbit_ros.cli.app import app
+            from geoorbit_ros.core.addresses import masked_text
             from geoorbit_ros.core.errors import GeoOrbitError
 
             try:
                 app(args=None if arguments is None else list(arguments), prog_name="geoorbit")
             except GeoOrbitError as error:
-                print(f"geoorbit: {error}", file=sys.stderr)
+                print(f"geoorbit: {masked_text(str(error))}", file=sys.stderr)
                 return EXIT_BAD_INPUT
             except SystemExit as end:
                 return end.code if isinstance(end.code, int) else int(end.code is not None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,6 +18,7 @@ from geoorbit_ros.cli.inputs import (
     FpsOption,
     MinScoreOption,
     ModelOption,
+    PasswordFileOption,
     ResumeOption,
     SourceArgument,
     StartTimeOption,
@@ -51,6 +53,7 @@ def process(
     datum: DatumOption = None,
     update_period_s: UpdatePeriodOption = 5.0,
     start_time: StartTimeOption = None,
+    password_file: PasswordFileOption = None,
     resume: ResumeOption = False,
     strict: StrictImagesOption = False,
 ) -> None:
@@ -77,7 +80,7 @@ def process(
     homography, origin = load_calibration(calibration, datum)
     settings = DetectorSettings(min_score, class_names=parse_names(class_names))
     name = camera_id or _name(source)
-    options = ImageOptions(fps, duration, start_time, None if strict else LeftOut())
+    options = ImageOptions(fps, duration, start_time, None if strict else LeftOut(), password_file)
     with prepared_run(source, out, options, model, settings, resume=resume) as (images, run):
         job = CameraJob(name, calibration, homography, origin, run, estimator, update_period_s)
         with EarlyEnd(images, run, out) as early, atomic_output(out, overwrite=resume) as folder:
@@ -101,5 +104,15 @@ def _write_boxes(job: CameraJob, folder: Path) -> None:
 
 
 def _name(source: str) -> str:
-    """`north` of `videos/north.mp4`, `on_ramp_merge` of `scene:on_ramp_merge?seed=2`."""
-    return Path(source.partition("?")[0].rpartition(":")[2]).stem or "camera"
+    """`north` of `videos/north.mp4`, `on_ramp_merge` of `scene:on_ramp_merge?seed=2`.
+
+    Of an address, the host: what follows it may be a password.
+    """
+    from geoorbit_ros.core.addresses import is_address, masked
+
+    if Path(source).exists():
+        return Path(source).absolute().stem
+    if is_address(source):
+        host = masked(source).partition("://")[2].rpartition("@")[2]
+        return re.split("[/?:#]", host, maxsplit=1)[0] or "camera"
+    return Path(source.partition("?")[0].partition(":")[2]).stem or "camera"

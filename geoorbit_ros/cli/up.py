@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from geoorbit_ros.fleet.fleet_file import Fleet
     from geoorbit_ros.fleet.plan import ProcessPlan
 
+OTHERS = 0o077
+"""Bits of a file's mode by which others than its owner may do anything with it."""
 STEP_S = 0.2
 """Longest time between two looks at the processes. Chosen: larger, Ctrl-C takes longer."""
 
@@ -55,12 +57,26 @@ def up(
     base = file.parent.absolute()
     plans = select(plan_fleet(content, base, folder), only or [])
     _check_plugins(file, plans)
+    _warn_of_readers(content, base)
     if dry_run:
         _print_plan(content, plans, folder)
         return
     with status("looking at the cameras"):
         plans = prepare(content, base, folder, only or [])
     _watch(fleet, content, plans, folder, duration_s)
+
+
+def _warn_of_readers(fleet: Fleet, base: Path) -> None:
+    """Say which files with passwords other users of this host can read."""
+    from geoorbit_ros.cli.console import error_console
+
+    for camera in fleet.cameras:
+        if camera.password_file is None:
+            continue
+        file = base / camera.password_file
+        if file.stat().st_mode & OTHERS:
+            text = f"{camera.id}: other users can read {file}; chmod 600 ends that"
+            error_console.print(text, soft_wrap=True)
 
 
 def _check_plugins(file: Path, plans: Sequence[ProcessPlan]) -> None:
@@ -137,12 +153,13 @@ def _watch(
 
 def _print_plan(fleet: Fleet, plans: Sequence[ProcessPlan], folder: Path) -> None:
     from geoorbit_ros.cli.console import console, make_table, say
+    from geoorbit_ros.core.addresses import masked
 
     table = make_table(f"Fleet {fleet.name}", "process|node|parameters set")
     for plan in plans:
         name = plan.name
         for node in plan.nodes:
-            values = ", ".join(f"{key}={value}" for key, value in node.parameters.items())
+            values = ", ".join(f"{k}={masked(str(v))}" for k, v in node.parameters.items())
             table.add_row(name, node.executable, values)
             name = ""
     for column in table.columns[2:]:

@@ -11,11 +11,18 @@ from typing import Annotated, Any
 import yaml
 from pydantic import Field, model_validator
 
+from geoorbit_ros.core.addresses import (
+    MASK,
+    check_address,
+    is_address,
+    masked,
+    read_password,
+    with_password,
+)
 from geoorbit_ros.core.errors import InputFileError, ParameterError
 from geoorbit_ros.core.resources import share_path
 from geoorbit_ros.parameters import ParameterSpec, load_schema, spec_by_name
 from geoorbit_ros.storage.atomic import atomic_output
-from geoorbit_ros.storage.frames.open_source import is_address
 from geoorbit_ros.storage.yaml_file import StrictModel, WrongValue, read_yaml
 
 FOLDER = "params/fleets"
@@ -78,6 +85,9 @@ class Camera(StrictModel):
         source: A video file, `rtsp://…`, `http://…`, a folder of images, `scene:NAME` for a
             made-up camera, or `bag:FOLDER` for recorded boxes.
         calibration: Control points, a CSV file. A `scene:` camera brings its own.
+        password_file: File with the camera's password, in place of one in `source`, which then
+            names the user alone: `rtsp://admin@camera/1`.
+        password_variable: Environment variable with it.
         model: ONNX file of a detector, or `FILE.py:CLASS`; none: moving objects are detected.
         image_size: Width and height in pixels; files and scenes tell it themselves, for a stream it
             must be given, for a bag it is 1920 x 1080 unless given.
@@ -90,6 +100,8 @@ class Camera(StrictModel):
 
     id: Identifier
     source: str = Field(min_length=1)
+    password_file: Path | None = None
+    password_variable: str | None = None
     calibration: Path | None = None
     model: Path | None = None
     image_size: tuple[Pixels, Pixels] | None = None
@@ -112,6 +124,10 @@ class Camera(StrictModel):
         if self.kind in ("bag", "scene") and not self.source.partition(":")[2]:
             wanted = "bag:FOLDER" if self.kind == "bag" else "scene:NAME"
             raise WrongValue(("source",), repr(self.source), wanted)
+        if self.kind == "stream":
+            self._check_address()
+        elif self.password_file or self.password_variable:
+            raise WrongValue(("source",), f"'{self.source}'", "an address, which has a password")
         if self.kind != "scene" and self.calibration is None:
             raise WrongValue(("calibration",), "nothing", "a CSV file of control points")
         if self.kind == "stream" and self.image_size is None:
@@ -121,6 +137,41 @@ class Camera(StrictModel):
             raise WrongValue(("model",), found, "no model, or a source with images")
         check_overrides(self.parameters, CAMERA_NODES)
         return self
+
+    def _check_address(self) -> None:
+        sample = self.source
+        try:
+            if self.password_file and self.password_variable:
+                names = "password_file and password_variable"
+                raise ParameterError("", names, "one of them")
+            if self.password_file or self.password_variable:
+                places = max(self.source.count(MASK), 1)
+                sample = with_password(self.source, "\n".join(["password"] * places), "")
+            check_address(sample)
+        except ParameterError as error:
+            found = f"{error.found} (camera {self.id}, {masked(self.source)})"
+            raise WrongValue(("source",), found, error.expected) from None
+
+    def address(self, base: Path) -> str:
+        """`source` with its password, wherever that is.
+
+        Args:
+            base: Folder that `password_file` starts from.
+
+        Raises:
+            ParameterError: There is no password where it should be.
+        """
+        place = f"camera {self.id}, password"
+        if self.password_file is not None:
+            password = read_password(base / self.password_file, place)
+        elif self.password_variable is not None:
+            password = os.environ.get(self.password_variable, "")
+            if not password:
+                found = f"no environment variable {self.password_variable}"
+                raise ParameterError(place, found, "one with the password")
+        else:
+            return self.source
+        return with_password(self.source, password, place)
 
 
 class Service(StrictModel):

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
+from geoorbit_ros.core.addresses import masked
 from geoorbit_ros.core.errors import GeoOrbitError, InputFileError
 from geoorbit_ros.core.plugins import FROM_FILES, is_file, plugin_file, registered
 from geoorbit_ros.fleet.fleet_file import Camera, Fleet, Value
@@ -21,6 +24,22 @@ SERVER, TWIN, CARLA, VIEWER = SERVICES = "federated_server", "twin", "carla", "v
 
 class FleetPlanError(GeoOrbitError):
     """A fleet that can't be started as it is asked for."""
+
+
+SECRETS_VARIABLE = "GEOORBIT_SECRETS"
+"""Environment variable in which a process gets its plan's `secrets`; other users can't read it."""
+_NONE: Mapping[str, str] = MappingProxyType({})
+
+
+def _each_text(content: Any, change: Callable[[str], str]) -> Any:
+    """JSON content with every text changed that is a value."""
+    if isinstance(content, str):
+        return change(content)
+    if isinstance(content, Mapping):
+        return {key: _each_text(value, change) for key, value in content.items()}
+    if isinstance(content, Sequence):
+        return [_each_text(value, change) for value in content]
+    return content
 
 
 SERVER_KEY, ROSTER = "server.key", "roster.txt"
@@ -71,18 +90,29 @@ class ProcessPlan:
     first: bool = False
 
     def to_json(self) -> str:
-        """The plan as its process reads it."""
-        return json.dumps(asdict(self), indent=2)
+        """The plan as its process reads it, without passwords."""
+        return json.dumps(_each_text(asdict(self), masked), indent=2)
+
+    def secrets(self) -> dict[str, str]:
+        """Addresses with a password, by what they are without it."""
+        found: dict[str, str] = {}
+        _each_text(asdict(self), lambda text: found.setdefault(masked(text), text))
+        return {shown: text for shown, text in found.items() if shown != text}
 
     @staticmethod
-    def from_json(text: str, place: str) -> ProcessPlan:
+    def from_json(text: str, place: str, secrets: Mapping[str, str] = _NONE) -> ProcessPlan:
         """Read a plan.
+
+        Args:
+            text: What `to_json` wrote.
+            place: Where it was, for the error.
+            secrets: As the plan's `secrets`.
 
         Raises:
             InputFileError: Not a plan.
         """
         try:
-            content = json.loads(text)
+            content = _each_text(json.loads(text), lambda value: secrets.get(value, value))
             nodes = tuple(NodePlan(**node) for node in content["nodes"])
             return ProcessPlan(content["name"], nodes, content["first"])
         except (ValueError, KeyError, TypeError) as error:
@@ -103,9 +133,13 @@ def plan_fleet(
     Raises:
         FleetPlanError: Files that the fleet names and that are not there, all of them in one
             sentence, or a camera called like a service.
+        ParameterError: A password that is not where the fleet says.
     """
     _check_names(fleet)
     _check_files(fleet, base)
+    for camera in fleet.cameras:
+        if camera.enabled:
+            camera.address(base)
     return plan_nodes(fleet, base, output, keys)
 
 
@@ -182,6 +216,10 @@ def camera_nodes(
         wiring["tracker"] = dict(size)
         wiring["detector"] = {"model": model}
         wiring["camera"] = {"source": image_source(camera, base)}
+        if camera.password_file is not None:
+            wiring["camera"]["password_file"] = str(base / camera.password_file)
+        if camera.password_variable is not None:
+            wiring["camera"]["password_variable"] = camera.password_variable
         if camera.kind != "stream":
             # One that plays once stays when it is done: its lanes are still asked for.
             wiring["camera"] |= {"loop": camera.repeat, "start_time_s": 0.0}
@@ -286,14 +324,15 @@ def _check_files(fleet: Fleet, base: Path) -> None:
     for camera in fleet.cameras:
         if not camera.enabled:
             continue
-        files = [camera.calibration]
+        files = [camera.calibration, camera.password_file]
         if camera.model is not None and str(camera.model) not in registered("detector"):
             files.append(Path(plugin_file(str(camera.model))))
         if camera.kind == "bag":
             files.append(Path(camera.source.partition(":")[2]))
         elif camera.kind == "file":
             files.append(Path(local_path(camera.source)))
-        missing += [f"{camera.id}: {base / f}" for f in files if f and not (base / f).exists()]
+        lacking = [base / masked(str(f)) for f in files if f and not (base / f).exists()]
+        missing += [f"{camera.id}: {name}" for name in lacking]
     if fleet.twin and fleet.twin.enabled and not (base / fleet.twin.network).exists():
         missing.append(f"twin: {base / fleet.twin.network}")
     if fleet.carla and fleet.carla.enabled and not (base / fleet.carla.opendrive).exists():

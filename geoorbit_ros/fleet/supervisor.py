@@ -7,6 +7,7 @@ nodes, so that one that hangs is told from one that is busy.
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import selectors
 import signal
@@ -18,7 +19,8 @@ from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
-from geoorbit_ros.fleet.plan import ProcessPlan
+from geoorbit_ros.core.addresses import masked_text
+from geoorbit_ros.fleet.plan import SECRETS_VARIABLE, ProcessPlan
 
 ALLOCATOR = {
     "MALLOC_ARENA_MAX": "2",
@@ -205,6 +207,9 @@ class Supervisor:
         name = member.plan.name
         plan_file = self._output / "plans" / f"{name}.json"
         plan_file.write_text(member.plan.to_json(), encoding="utf-8")
+        plan_file.chmod(0o600)
+        secrets = member.plan.secrets()
+        environment = {**self._environment, SECRETS_VARIABLE: json.dumps(secrets)}
         log_file = self._output / "logs" / f"{name}.log"
         if log_file.exists() and log_file.stat().st_size > LOG_BYTES:
             log_file.replace(log_file.with_suffix(".log.1"))
@@ -219,7 +224,7 @@ class Supervisor:
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
-                env=self._environment,
+                env=environment if secrets else self._environment,
                 pass_fds=(write_end,),
                 process_group=0,
             )
@@ -256,7 +261,8 @@ class Supervisor:
             reason = f"no heartbeat for {limit:g} s, ended by force"
         else:
             reason = f"ended by {signal.Signals(-status).name}" if status < 0 else f"exit {status}"
-        hint = "" if status is None or status < 0 else f": {self._last_line(member.plan.name)}"
+        said = masked_text(self._last_line(member.plan.name))
+        hint = "" if status is None or status < 0 else f": {said}"
         # Refused before it ever ran: that is the user's to change, and would be refused again. One
         # that has run before may find its port or file in use for a moment.
         if status == EXIT_REFUSED and not member.ran:

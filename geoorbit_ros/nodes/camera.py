@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import threading
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
@@ -14,7 +16,8 @@ from rclpy.publisher import Publisher
 from sensor_msgs.msg import CompressedImage
 
 from geoorbit_ros.conversions import encode_jpeg
-from geoorbit_ros.core.errors import MessageError
+from geoorbit_ros.core.addresses import read_password, with_password
+from geoorbit_ros.core.errors import MessageError, ParameterError
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.nodes.support.process import run_node
 from geoorbit_ros.nodes.support.qos import stream_qos
@@ -43,6 +46,8 @@ class CameraParameters:
     """See params/camera.yaml."""
 
     source: str
+    password_file: str
+    password_variable: str
     fps: float
     start_time_s: float
     rate: float
@@ -161,7 +166,7 @@ class CameraNode(GeoOrbitNode[CameraParameters]):
             on_bad_frame=self.diagnostics.refuse,
             on_cut=self.diagnostics.refuse,
         )
-        self._source = open_frame_source(p.source, options, SCENES)
+        self._source = open_frame_source(self._address(), options, SCENES)
         self._said = 0
         self._say_remarks()
         clock_ns = None if p.start_time_s else options.clock_ns
@@ -201,6 +206,19 @@ class CameraNode(GeoOrbitNode[CameraParameters]):
             return
         if not self.images.wait_for_all_acked(ACKNOWLEDGE_TIMEOUT):
             self.get_logger().warning("the last images were not acknowledged within 5 s")
+
+    def _address(self) -> str:
+        """The source with its password, wherever that is."""
+        p, place = self.p, f"node '{self.get_fully_qualified_name()}', password"
+        if p.password_file:
+            return with_password(p.source, read_password(Path(p.password_file), place), place)
+        if p.password_variable:
+            password = os.environ.get(p.password_variable)
+            if not password:
+                found = f"no environment variable {p.password_variable}"
+                raise ParameterError(place, found, "one with the password")
+            return with_password(p.source, password, place)
+        return p.source
 
     def _say_remarks(self) -> None:
         """Log what has been remarked on the source since the last time."""

@@ -13,6 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from made_videos import SINCE_1904_S, patched, write_video
 from mjpeg_server import MjpegServer, grey_image
 from probe import KEEP_ALL, LIMIT_S, Probe
+from rcl_interfaces.msg import ParameterEvent
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import CompressedImage
 
@@ -88,6 +89,49 @@ def test_a_recording_can_have_the_time_that_its_file_says(
     remarks = probe.status_of("/north/camera")["remarks"]
     assert "starts at 2023-11-14 22:13:20 UTC" in remarks
     assert "--fps 25 is not used" in remarks
+
+
+def test_nobody_who_asks_a_node_is_told_a_password(
+    nodes: Composition, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Neither `ros2 param get`, /parameter_events, /diagnostics nor the log shows it."""
+    secret = tmp_path / "password"
+    secret.write_text("SECRET77")
+    probe = Probe(nodes)
+    events = probe.listen("/parameter_events", ParameterEvent, KEEP_ALL)
+    with MjpegServer([grey_image(90)] * 5) as server:
+        server.credentials = "admin:SECRET77"
+        host = server.address.partition("://")[2]
+        first = nodes.make(
+            CameraNode, "first", {"source": f"http://admin:SECRET77@{host}?t=SECRET"}
+        )
+        second = nodes.make(
+            CameraNode, "second", {"source": f"http://admin@{host}", "password_file": str(secret)}
+        )
+        probe.until(lambda: first._feed.captured + second._feed.captured > 0, "images")
+        told = [p.value.string_value for event in events for p in event.new_parameters]
+        shown = [n.get_parameter("source").value for n in (first, second)]
+        assert shown == [f"http://admin:***@{host}?t=***", f"http://admin@{host}"]
+        assert shown[0] in told
+        status = probe.status_of("/first/camera")
+        assert status["source"] == shown[0]
+        assert "SECRET" not in str(told) + str(status)
+    for node in (first, second):
+        node.close()
+    output = capfd.readouterr()
+    assert "SECRET" not in output.out + output.err
+
+
+def test_a_wrong_password_setting_is_one_sentence(nodes: Composition) -> None:
+    for overrides, words in (
+        ({"password_variable": "NO_SUCH_VARIABLE"}, "no environment variable NO_SUCH_VARIABLE"),
+        ({"password_file": "/absent"}, "/absent: No such file"),
+        ({"source": "rtsp://admin:SE#CRET@192.0.2.1/s"}, "%23 in its place"),
+    ):
+        values = {"source": "rtsp://admin@192.0.2.1/s"} | overrides
+        with pytest.raises(GeoOrbitError, match=words) as caught:
+            nodes.make(CameraNode, "north", values)
+        assert "CRET" not in str(caught.value)
 
 
 def test_a_loop_goes_on_in_time_and_max_fps_thins_it(nodes: Composition, folder: Path) -> None:

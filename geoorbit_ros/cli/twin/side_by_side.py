@@ -92,10 +92,9 @@ def save_side_by_side(
     Raises:
         GeoOrbitError: The calibration leaves the camera's height open, or a file can't be read.
     """
-    import cv2
-
     from geoorbit_ros.calibration.control_points import read_control_points
     from geoorbit_ros.calibration.homography import fit_homography
+    from geoorbit_ros.report.image_overlay import write_image
     from geoorbit_ros.storage.track_bag import read_track_bag
     from geoorbit_ros.storage.tracks.cleaning import ReadOptions
     from geoorbit_ros.twin.placement import track_rows
@@ -112,7 +111,7 @@ def save_side_by_side(
     shown, difference = camera.beside(
         image, frames.frame(k), track_rows(step), network.datum, stream.alignment
     )
-    cv2.imwrite(str(folder / f"side_by_side_{stream.camera}.png"), shown)
+    write_image(folder / f"side_by_side_{stream.camera}.png", shown)
     after_s = (step.stamp_ns - int(stamps[0])) / 1e9
     return f"{stream.camera} after {after_s:.1f} s, boxes seen and rendered: {difference.sentence}."
 

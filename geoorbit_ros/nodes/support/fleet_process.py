@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import inspect
+import json
 import os
 import sys
 import time
@@ -14,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from geoorbit_ros.core.errors import ParameterError
-from geoorbit_ros.fleet.plan import NodePlan, ProcessPlan
+from geoorbit_ros.fleet.plan import SECRETS_VARIABLE, NodePlan, ProcessPlan
 from geoorbit_ros.fleet.supervisor import HEARTBEAT_PERIOD_S
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.nodes.support.process import run_nodes
@@ -119,7 +120,8 @@ def _make(plan: NodePlan) -> GeoOrbitNode[Any]:
 
 def run_plan(plan_file: str, descriptor: str) -> int:
     """What `python -m geoorbit_ros.nodes.support.fleet_process PLAN.json DESCRIPTOR` does."""
-    plan = ProcessPlan.from_json(Path(plan_file).read_text(encoding="utf-8"), plan_file)
+    secrets = json.loads(os.environ.pop(SECRETS_VARIABLE, "{}"))
+    plan = ProcessPlan.from_json(Path(plan_file).read_text(encoding="utf-8"), plan_file, secrets)
     return run_group(plan, Heartbeat(int(descriptor)))
 
 

@@ -14,6 +14,7 @@ from rclpy.context import Context
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
+from geoorbit_ros.core.addresses import masked_text
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
 
@@ -74,7 +75,7 @@ def run_nodes(
     except ExternalShutdownException:
         return 0
     except GeoOrbitError as error:
-        print(error, file=sys.stderr)
+        print(masked_text(str(error)), file=sys.stderr)
         return 2
     finally:
         for number in SIGNALS:  # while it ends, Python puts back the default, which is to kill

@@ -7,10 +7,11 @@ from pathlib import Path
 from types import MappingProxyType
 from urllib.parse import unquote, urlsplit
 
+from geoorbit_ros.core.addresses import check_address, is_address, masked
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.storage.frames.image_folder import ImageFolder, is_image
 from geoorbit_ros.storage.frames.source import FrameSource, SourceOptions
-from geoorbit_ros.storage.frames.stream import SCHEMES, Stream
+from geoorbit_ros.storage.frames.stream import Stream
 from geoorbit_ros.storage.frames.video_file import VideoFile
 
 SourceMaker = Callable[[str, SourceOptions], FrameSource]
@@ -44,15 +45,12 @@ def open_frame_source(
     if is_address(spec):
         return Stream(spec, options)
     path = Path(local_path(spec))
+    if masked(spec) != spec and not path.exists():
+        # Plainly meant as an address, with a password that a file's name would show.
+        check_address(spec)
     if path.is_dir() or (is_image(path) and path.is_file()):
         return ImageFolder(path, options)
     return VideoFile(path, options)
-
-
-def is_address(spec: str) -> bool:
-    """Whether a source is a stream's address, and no file or folder."""
-    scheme, _, rest = spec.partition(":")
-    return scheme.lower() in SCHEMES and rest.startswith("//")
 
 
 def local_path(spec: str) -> str:

@@ -6,11 +6,11 @@ import math
 import time
 from collections.abc import Iterator
 from typing import Any
-from urllib.parse import urlsplit, urlunsplit
 
 import cv2
 from numpy.typing import NDArray
 
+from geoorbit_ros.core.addresses import check_address, masked
 from geoorbit_ros.storage.frames.source import (
     FrameCheck,
     FrameSource,
@@ -20,7 +20,6 @@ from geoorbit_ros.storage.frames.source import (
 )
 from geoorbit_ros.storage.frames.video_file import open_capture
 
-SCHEMES = ("rtsp", "rtsps", "http", "https", "rtmp", "udp", "srt", "tcp")
 FIRST_WAIT_S = 0.5
 """Pause before the first attempt to open a lost stream again; doubled every time, and back to this
 after a frame. Chosen: shorter disturbs a camera that starts."""
@@ -36,13 +35,15 @@ class Stream(FrameSource):
     time, for ever or until `options.give_up_s` have passed without a frame.
 
     Raises:
+        ParameterError: An address that can't be used.
         FrameSourceError: Given up.
     """
 
     live = True
 
     def __init__(self, address: str, options: SourceOptions) -> None:
-        super().__init__(without_password(address))
+        super().__init__(masked(address))
+        check_address(address)
         self._address, self._options = address, options
         self._note_unused(options.fps, "a stream's images are stamped when they arrive")
 
@@ -99,9 +100,3 @@ class Stream(FrameSource):
                 yield stamp_ns, image
         finally:
             capture.release()
-
-
-def without_password(address: str) -> str:
-    """`rtsp://user:secret@host/path?key=…` as `rtsp://host/path`, for what people may read."""
-    parts = urlsplit(address)
-    return urlunsplit((parts.scheme, parts.netloc.rpartition("@")[2], parts.path, "", ""))

@@ -20,9 +20,10 @@ from made_videos import (
 )
 from mjpeg_server import grey_image
 
+from geoorbit_ros.core.addresses import is_address
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.storage.frames.container import read_container
-from geoorbit_ros.storage.frames.open_source import is_address, open_frame_source
+from geoorbit_ros.storage.frames.open_source import open_frame_source
 from geoorbit_ros.storage.frames.source import (
     START_NS,
     FrameSource,
