@@ -54,7 +54,8 @@ class Demand:
         turns: For each edge, how many vehicles went on to which edge.
         kinds: (K,) types of vehicles, numbers in `TYPES`, as often as they were seen.
         factors: (K,) speed over the limit of each.
-        edge_flow_per_h: Flow on every edge that was seen.
+        edge_flow_per_h: Flow on every edge that was seen: the entering flows, parted by `turns`.
+            What enters a junction leaves it.
     """
 
     time_s: float
@@ -134,7 +135,7 @@ class ObservedTraffic:
         after = {target for targets in turns.values() for target in targets}
         roots = _balanced({e: v for e, v in flow.items() if e not in after}, turns, flow)
         kinds, factors = self._drivers(rows)
-        return Demand(time_s, roots, turns, kinds, factors, flow)
+        return Demand(time_s, roots, turns, kinds, factors, flow | _carried_on(roots, turns))
 
     def _flow_per_h(self, rows: NDArray[np.void], time_s: float) -> float:
         """Flow of an edge by its rows, in the stretch where most was seen.
@@ -188,6 +189,17 @@ def _balanced(
         root: flow * max(1.0, *(seen.get(edge, 0.0) / max(total[edge], 1e-9) for edge in shares))
         for (root, flow), shares in zip(roots.items(), reached.values(), strict=True)
     }
+
+
+def _carried_on(
+    roots: Mapping[str, float], turns: Mapping[str, Mapping[str, int]]
+) -> dict[str, float]:
+    """Flow of every edge that the entering flows reach."""
+    flow: dict[str, float] = {}
+    for root, entering in roots.items():
+        for edge, share in _shares(root, turns).items():
+            flow[edge] = flow.get(edge, 0.0) + entering * share
+    return flow
 
 
 def _shares(root: str, turns: Mapping[str, Mapping[str, int]]) -> dict[str, float]:
