@@ -83,7 +83,7 @@ def from_csv(
     typer.echo(
         f"{out}: /{camera_id}/tracks_px, {info.messages} messages, {len(frames.rows)} boxes, "
         f"{info.duration_ns / 1e9:.1f} s, {format_size(info.size_bytes)}; {on_road.mean():.0%} "
-        f"of the boxes stand on the calibrated road plane"
+        "of the boxes have a place on the road by these control points"
     )
 
 

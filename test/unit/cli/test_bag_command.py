@@ -30,7 +30,7 @@ def test_a_csv_becomes_a_bag_with_the_same_tracks(
     camera: CameraFiles, tmp_path: Path, storage: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert from_csv(camera, tmp_path / "bag", storage=storage) == 0
-    assert "100% of the boxes stand on the calibrated road plane" in capsys.readouterr().out
+    assert "100% of the boxes have a place on the road" in capsys.readouterr().out
     bag = read_track_bag(tmp_path / "bag")
     expected = read_track_csv(camera.tracks)
     assert bag.camera_id == "pole_7"
