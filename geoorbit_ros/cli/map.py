@@ -24,7 +24,8 @@ def _group() -> None:
 def build(
     out: Annotated[Path, typer.Option("--out", help="Folder for the files; must not exist.")],
     area: Annotated[
-        Path | None, typer.Argument(help="OpenStreetMap extract: .osm or .osm.gz.")
+        Path | None,
+        typer.Argument(help="OpenStreetMap extract: .osm, .osm.gz, .osm.bz2, or JSON of Overpass."),
     ] = None,
     net: Annotated[
         Path | None, typer.Option("--net", help="A SUMO network there is, instead of an extract.")
@@ -37,6 +38,9 @@ def build(
         ),
     ] = 3.5,
     driving_side: DrivingSideOption = None,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Refuse an extract that has any fault.")
+    ] = False,
 ) -> None:
     """Make a SUMO network and an OpenDRIVE road of a map, by SUMO's own netconvert.
 
@@ -57,7 +61,7 @@ def build(
         folder.mkdir()
         with status("building the network"):
             if area is not None and net is None:
-                built = build_from_osm(area, folder, origin, lane_width, side)
+                built = build_from_osm(area, folder, origin, lane_width, side, strict)
             elif net is not None and area is None:
                 built = build_from_network(net, folder, origin, side)
             else:
@@ -73,7 +77,7 @@ def _print_map(built: BuiltMap) -> None:
     import numpy as np
 
     from geoorbit_ros.cli.console import console as screen
-    from geoorbit_ros.cli.console import count_of, make_table, say
+    from geoorbit_ros.cli.console import count_of, make_table, print_remarks, say
 
     network = built.network
     table = make_table("Lanes of the network", ">width m|>lanes|>km")
@@ -91,5 +95,6 @@ def _print_map(built: BuiltMap) -> None:
     )
     for sentence in built.said:
         say(sentence)
+    print_remarks(built.report)
     if built.warnings:
         say(f"netconvert had {count_of(len(built.warnings), 'warning')} (map.json).")

@@ -45,12 +45,14 @@ class Discrepancies:
         unseen: Lanes of the network without enough traffic to compare them.
         compared: Lanes of the network that were compared, and over how many metres.
         driven: Where those are driven whose edge has lanes out of place or of another width.
+        reserved: Detected lanes on lanes of the map that not all cars may use, in sentences.
     """
 
     findings: tuple[Finding, ...]
     unseen: tuple[Unseen, ...]
     compared: Mapping[str, float]
     driven: Mapping[str, DrivenLane]
+    reserved: tuple[str, ...] = ()
 
 
 def compare(lanes: Sequence[Lane], network: RoadNetwork, alignment: Alignment) -> Discrepancies:
@@ -68,6 +70,7 @@ def compare(lanes: Sequence[Lane], network: RoadNetwork, alignment: Alignment) -
     found: list[Finding] = []
     compared: dict[str, float] = {}
     driven: dict[str, DrivenLane] = {}
+    reserved: list[str] = []
     for k in sorted(set(partners.lane[partners.lane >= 0].tolist())):
         if network.internal[k]:
             continue
@@ -78,6 +81,11 @@ def compare(lanes: Sequence[Lane], network: RoadNetwork, alignment: Alignment) -
         if lanes[d].status != "confirmed" or length_m < MIN_LENGTH_M:
             continue
         compared[network.lane_id[k]] = length_m
+        if users := network.users(k):
+            reserved.append(
+                f"lane {lanes[d].lane_id}{_vehicles(lanes[d])} runs on {network.lane_id[k]}, which "
+                f"is for {users}; lanes do not tell which vehicles drive along them"
+            )
         found += _of_pair(lanes[d], network, k, partners, at)
         if np.median(partners.along[at]) > 0.0:
             order = np.argsort(partners.arc_m[at])
@@ -93,7 +101,7 @@ def compare(lanes: Sequence[Lane], network: RoadNetwork, alignment: Alignment) -
     found.sort(key=lambda f: -f.confidence)
     wrong = {_edge(f.lane_id) for f in found if f.kind in ("shifted", "width")}
     driven = {name: lane for name, lane in driven.items() if _edge(name) in wrong}
-    return Discrepancies(tuple(found), tuple(unseen), compared, driven)
+    return Discrepancies(tuple(found), tuple(unseen), compared, driven, tuple(reserved))
 
 
 def _of_pair(
@@ -158,6 +166,10 @@ def _all_along(
     return all(float(np.median(third)) * np.sign(shift_m) > SHIFT_M for third in thirds)
 
 
+def _vehicles(lane: Lane) -> str:
+    return f" ({lane.vehicles:.0f} vehicles)" if np.isfinite(lane.vehicles) else ""
+
+
 def _edge(lane_id: str) -> str:
     return lane_id.rpartition("_")[0]
 
@@ -184,8 +196,10 @@ def _missing(
                 continue
             lane_id = network.lane_id[int(np.bincount(neighbour[here]).argmax())] if name else ""
             where = f"beside {lane_id}" if name else "where it has no road"
-            count = f" ({lane.vehicles:.0f} vehicles)" if np.isfinite(lane.vehicles) else ""
-            text = f"lane {lane.lane_id}{count} is not in the map, {where}, over {length_m:.0f} m"
+            text = (
+                f"lane {lane.lane_id}{_vehicles(lane)} is not in the map, {where}, "
+                f"over {length_m:.0f} m"
+            )
             found.append(
                 Finding(
                     "missing", lane_id, lane.lane_id, xy, 1.0, 0.0, 0.0, "", lane.confidence, text

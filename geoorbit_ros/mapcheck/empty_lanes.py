@@ -3,7 +3,8 @@
 A lane without traffic is extra only where so many vehicles drove beside it that some would have
 driven in it. With shares of the traffic drawn at random (Dirichlet, all alike), k lanes and N
 vehicles, a real lane stays empty with probability (k - 1) / (k - 1 + N). And only where drivers
-have no reason to leave it: a lane that ends is left long before its end.
+have no reason to leave it: a lane that ends is left long before its end, and on a lane that not all
+cars may use (a bus lane, the middle of the road) the traffic beside it says nothing.
 """
 
 from __future__ import annotations
@@ -65,6 +66,10 @@ def find_extra(
             if seen_m < MIN_LENGTH_M or is_used:
                 continue
             name = network.lane_id[k]
+            if not network.for_cars[k]:
+                text = f"no traffic seen on {name}, which is for {network.users(k)}"
+                unseen.append(Unseen(name, f"{text}: the traffic beside it says nothing about it"))
+                continue
             if must_be_left(network, k):
                 leaves_m = float(network.length_m[k] - LEAVES_S * network.speed_mps[k])
                 if leaves_m - arc.min() < MIN_LENGTH_M:
@@ -72,7 +77,7 @@ def find_extra(
                     unseen.append(Unseen(name, text))
                     continue
                 seen_m = min(seen_m, leaves_m - float(arc.min()))
-            others = len(group) - 1
+            others = sum(bool(network.for_cars[j]) for j in group) - 1
             confidence = vehicles / (vehicles + max(others, 1))
             line = _stretch(network, k, arc)
             if confidence < EXTRA_CONFIDENCE:

@@ -99,13 +99,15 @@ def offsets(points: LaneSamples, lines: Sequence[NDArray[np.float64]]) -> Offset
 def lanes_near(network: RoadNetwork, lanes: Sequence[Lane]) -> NDArray[np.int64]:
     """Numbers of the network's lanes near detected ones, internal ones included.
 
+    Cycle lanes are left out: only motor vehicles make lanes.
+
     Raises:
         RoadNetworkError: There is none: the network lies elsewhere.
     """
     points = np.concatenate([lane.centerline_m for lane in lanes])
     low, high = points.min(axis=0) - NEAR_M, points.max(axis=0) + NEAR_M
     near = []
-    for k in range(len(network)):
+    for k in np.flatnonzero(network.for_motors).tolist():
         line = network.line(k)
         if np.all(line.max(axis=0) >= low) and np.all(line.min(axis=0) <= high):
             near.append(k)

@@ -24,7 +24,7 @@ from geoorbit_ros.roadnet.errors import RoadNetworkError
 from geoorbit_ros.roadnet.map_build import write_moved
 from geoorbit_ros.roadnet.netconvert import drop_header
 from geoorbit_ros.roadnet.network import RoadNetwork, load_network
-from geoorbit_ros.roadnet.plain_network import LaneEdit, PlainNetwork
+from geoorbit_ros.roadnet.plain_network import EdgeEdit, LaneEdit, PlainNetwork
 
 NETWORK, FOLDER = "network.net.xml", "patch"
 
@@ -146,10 +146,27 @@ class _Editor:
             width = next(d.width_m for d in lanes if d.lane_id == finding.detected)
             line = self._network.line(k)
             side = float(np.median(project(finding.line_m, line).offset_m))
-            new = LaneEdit(None, self._moved(k, finding.line_m), width, dict(lane.rules))
+            new = LaneEdit(
+                None, self._moved(k, finding.line_m), width, self._rules(edit, lane), lane.profile
+            )
             inner = (side > 0) != self._network.left_hand
             edit.lanes.insert(at + 1 if inner else at, new)
         return ""
+
+    def _rules(self, edit: EdgeEdit, beside: LaneEdit) -> dict[str, str]:
+        """Rules of a new lane: as beside it, open to all cars, because it was seen to be driven."""
+        lanes = [lane for lane in edit.lanes if lane.origin is not None]
+        number = (self._network.number.get(f"{edit.edge_id}_{lane.origin}") for lane in lanes)
+        open_lanes = [
+            lane
+            for lane, k in zip(lanes, number, strict=True)
+            if k is not None and self._network.for_cars[k]
+        ]
+        at = lanes.index(beside) if beside in lanes else 0
+        if open_lanes:
+            nearest = min(open_lanes, key=lambda lane: abs(lanes.index(lane) - at))
+            return dict(nearest.rules)
+        return {k: v for k, v in beside.rules.items() if k not in ("allow", "disallow", "prefer")}
 
     def _reverse(self, edge_id: str, found: Validation) -> str:
         if made_for_other_side(found.discrepancies):

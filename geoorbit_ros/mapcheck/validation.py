@@ -79,7 +79,7 @@ def validate(lanes: Sequence[Lane], network: RoadNetwork) -> Validation:
     if alignment.significant:
         findings = (_offset(alignment), *findings)
     other = made_for_other_side(found)
-    notes = (_other_side(len(found.compared), network),) if other else ()
+    notes = ((_other_side(len(found.compared), network),) if other else ()) + found.reserved
     return Validation(alignment, findings, found, notes)
 
 

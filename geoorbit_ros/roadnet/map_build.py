@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import gzip
 import json
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from xml.etree import ElementTree as Xml
 
 import numpy as np
@@ -14,17 +15,15 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.core.errors import ParameterError
-from geoorbit_ros.roadnet.driving_side import (
-    SIDES,
-    DrivingSide,
-    Side,
-    choose_side,
-    side_doubt,
-)
+from geoorbit_ros.core.input_report import InputReport, Treatment
+from geoorbit_ros.roadnet.driving_side import DrivingSide, Side, choose_side, side_doubt
+from geoorbit_ros.roadnet.edge_patch import edge_patch
 from geoorbit_ros.roadnet.errors import RoadNetworkError
+from geoorbit_ros.roadnet.lane_access import WayCounts, prepared
 from geoorbit_ros.roadnet.netconvert import drop_header, netconvert, netconvert_version
 from geoorbit_ros.roadnet.network import RoadNetwork, load_network
 from geoorbit_ros.roadnet.network_file import parse_xml
+from geoorbit_ros.roadnet.osm_extract import OsmExtract, read_extract, roads_of, set_tags
 
 Move = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 """Takes points (N, 2) to where they are to be."""
@@ -34,18 +33,23 @@ NETWORK, OPENDRIVE, RECORD = "network.net.xml", "road.xodr", "map.json"
 LANE_WIDTH_M = 3.5
 """For lanes whose width the map does not state: between the 3.66 m of US freeways (AASHTO, A Policy
 on Geometric Design of Highways and Streets) and the 3.25 m of European city streets."""
-_OSM_EXPECTED = "an OpenStreetMap extract (.osm or .osm.gz)"
 _OSM_OPTIONS = (
     "--geometry.remove=true",
     "--roundabouts.guess=true",
     "--ramps.guess=true",
     "--junctions.join=true",
     "--no-turnarounds=true",
-    "--keep-edges.by-vclass=passenger",
+    "--keep-edges.by-vclass=passenger,bus",
     "--output.street-names=true",
     "--output.original-names=true",
     "--offset.disable-normalization=true",
+    # The line of a way is the middle of its road (wiki, Key:placement), however its lanes part.
+    "--default.spreadtype=roadCenter",
 )
+_RAW_OPTIONS = (
+    "--keep-edges", "--offset", "--default", "--proj", "--lefthand", "--osm", "--output.original",
+)  # fmt: skip
+"""Options that decide which edges are made of a way."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,12 +61,14 @@ class BuiltMap:
         opendrive: Roads in the OpenDRIVE file.
         warnings: What netconvert warned of, one sentence each.
         said: What the user should know about the map, in sentences.
+        report: What was repaired and left out.
     """
 
     network: RoadNetwork
     opendrive: int
     warnings: tuple[str, ...]
-    said: tuple[str, ...] = ()
+    said: tuple[str, ...]
+    report: InputReport
 
 
 def build_from_osm(
@@ -71,6 +77,7 @@ def build_from_osm(
     datum: Datum | None = None,
     lane_width_m: float = LANE_WIDTH_M,
     side: Side | None = None,
+    strict: bool = False,
 ) -> BuiltMap:
     """Write network, OpenDRIVE and record of an OpenStreetMap extract into a folder.
 
@@ -80,29 +87,68 @@ def build_from_osm(
         datum: Origin of the coordinates; default: the middle of the extract's roads.
         lane_width_m: For lanes whose width the map doesn't state.
         side: Where traffic drives; default: by the map's tags, or by its place.
+        strict: Refuse an extract that has any fault.
 
     Raises:
         RoadNetworkError: No map, no road in it, netconvert refuses it, or SUMO is not installed.
+        InputFileError: Most of its roads are bad, or any, when `strict`.
         ParameterError: The side of the road can't be known.
     """
-    roads = _roads(area)
-    chosen = choose_side(side, roads.tagged_m, roads.length_m, roads.middle, str(area))
-    datum = datum or roads.middle
-    source = area
-    if area.suffix == ".gz":  # netconvert reads gzip by its name .osm.xml.gz alone
-        source = folder / "area.osm.xml"
-        source.write_bytes(gzip.decompress(area.read_bytes()))
-    net = folder / NETWORK
+    extract = read_extract(area, strict)
+    chosen = choose_side(side, extract.tagged_m, extract.length_m, extract.middle, str(area))
+    datum = datum or extract.middle
     options = [
         *_OSM_OPTIONS,
         f"--default.lanewidth={lane_width_m:g}",
         f"--proj={datum.proj_string}",
         *(["--lefthand=true"] if chosen.side == "left" else []),
+        *(["--osm.elevation=true"] if extract.has_heights else []),
     ]
-    warnings = netconvert([f"--osm-files={source}", f"--output-file={net}", *options], str(area))
-    if source != area:
-        source.unlink()
-    return _finish(folder, datum, area, options, warnings, chosen)
+    with TemporaryDirectory() as name:
+        warnings = _convert(extract, Path(name), folder / NETWORK, options, lane_width_m, chosen)
+    return _finish(folder, datum, area, options, warnings, chosen, extract.report)
+
+
+def _convert(
+    extract: OsmExtract,
+    folder: Path,
+    net: Path,
+    options: list[str],
+    lane_width_m: float,
+    side: DrivingSide,
+) -> tuple[str, ...]:
+    """Make the network in two runs: edge by edge, and whole with the lanes' users; the warnings.
+
+    netconvert numbers the edges of a way; what is changed in them must be known before it joins
+    edges and makes connections.
+
+    Raises:
+        RoadNetworkError: netconvert refuses the extract.
+    """
+    place, counts = extract.report.place, WayCounts()
+    source, raw, changes = (folder / n for n in ("area.osm.xml", "raw.net.xml", "patch.edg.xml"))
+    given = {way: tags for way, tags in roads_of(extract.root)}
+    for way, tags in given.items():
+        set_tags(way, prepared(tags))
+    extract.write(source)
+    for way, tags in given.items():
+        set_tags(way, tags)
+    files = [f"--osm-files={source}"]
+    once = [option for option in options if option.startswith(_RAW_OPTIONS)]
+    netconvert([*files, f"--output-file={raw}", "--no-internal-links=true", *once], place)
+    patch = edge_patch(extract, parse_xml(raw).getroot(), side.side, lane_width_m, counts)
+    if patch is not None:
+        Xml.ElementTree(patch).write(changes, encoding="utf-8", xml_declaration=True)
+        files.append(f"--edge-files={changes}")
+    warnings = netconvert([*files, f"--output-file={net}", *options], place)
+    for ways, text in (
+        (counts.unclear, "lists of lanes that don't fit the number of lanes are not used"),
+        (counts.hours, "rules for certain hours (:conditional) are not read"),
+        (counts.cycle_lanes, "a cycle lane between other lanes or against the traffic is left out"),
+    ):
+        found = list(dict.fromkeys(ways))
+        extract.report.add(Treatment.NOTED, len(found), text, f"way {found[0]}" if found else "")
+    return warnings
 
 
 def build_from_network(
@@ -126,10 +172,9 @@ def build_from_network(
     if given not in (None, side):
         found = f"{given}, but the network's lanes are made for traffic on the {side}"
         raise ParameterError("option --driving-side", found, f"{side}, or an OpenStreetMap extract")
-    doubt = side_doubt(side, network.datum)
-    return _finish(
-        folder, network.datum, net, [], (), DrivingSide(side, "as the network says", doubt)
-    )
+    known = DrivingSide(side, "as the network says", side_doubt(side, network.datum))
+    report = InputReport(str(net), "lanes", len(network))
+    return _finish(folder, network.datum, net, [], (), known, report)
 
 
 def _finish(
@@ -139,6 +184,7 @@ def _finish(
     options: list[str],
     warnings: tuple[str, ...],
     side: DrivingSide,
+    report: InputReport,
 ) -> BuiltMap:
     network = load_network(folder / NETWORK, datum)
     opendrive = folder / OPENDRIVE
@@ -154,6 +200,7 @@ def _finish(
         "source": source.name,
         "datum": {"latitude_deg": datum.latitude_deg, "longitude_deg": datum.longitude_deg},
         "projection": datum.proj_string,
+        "remarks": list(report.sentences()),
         "driving_side": {"side": side.side, "why": side.why, "doubt": side.doubt},
         "netconvert": {
             "version": netconvert_version(),
@@ -166,61 +213,16 @@ def _finish(
     }
     text = json.dumps(record, indent=2, ensure_ascii=False)
     (folder / RECORD).write_text(text + "\n", encoding="utf-8")
-    return BuiltMap(network, roads, warnings, (side.sentence,))
+    said = (side.sentence, *filter(None, (_reserved_lanes(network),)))
+    return BuiltMap(network, roads, warnings, said, report)
 
 
-@dataclass(frozen=True, slots=True)
-class _Roads:
-    """The roads of an extract.
-
-    Attributes:
-        middle: To seven decimals of a degree.
-        length_m: Of all.
-        tagged_m: Of those whose tags say on which side traffic drives.
-    """
-
-    middle: Datum
-    length_m: float
-    tagged_m: dict[Side, float]
-
-
-def _roads(area: Path) -> _Roads:
-    """Read what decides where and how a network is made of an extract.
-
-    Raises:
-        RoadNetworkError: No map, or no road in it.
-    """
-    root = parse_xml(area, _OSM_EXPECTED).getroot()
-    if root.tag != "osm":
-        raise RoadNetworkError(str(area), f"a file of <{root.tag}>", _OSM_EXPECTED)
-    ways = {
-        way: {tag.get("k", ""): tag.get("v", "") for tag in way.iter("tag")}
-        for way in root.iter("way")
-    }
-    roads = {way: tags for way, tags in ways.items() if "highway" in tags}
-    used = {node.get("ref") for way in roads for node in way.iter("nd")}
-    try:
-        places = {
-            node.attrib["id"]: (float(node.attrib["lat"]), float(node.attrib["lon"]))
-            for node in root.iter("node")
-            if node.get("id") in used
-        }
-    except (KeyError, ValueError) as error:
-        raise RoadNetworkError(str(area), f"a node without {error}", _OSM_EXPECTED) from error
-    if not places:
-        raise RoadNetworkError(str(area), "no road (way with the tag highway)", _OSM_EXPECTED)
-    corners = np.array(list(places.values()))
-    latitude, longitude = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
-    middle = Datum(round(float(latitude), 7), round(float(longitude), 7))
-    length_m, tagged_m = 0.0, dict.fromkeys(SIDES, 0.0)
-    for way, tags in roads.items():
-        line = np.array([places[ref] for nd in way.iter("nd") if (ref := nd.get("ref")) in places])
-        if len(line) > 1:
-            metres = float(np.hypot(*np.diff(middle.to_local(*line.T), axis=0).T).sum())
-            length_m += metres
-            if (side := tags.get("driving_side")) in tagged_m:
-                tagged_m[side] += metres
-    return _Roads(middle, length_m, tagged_m)
+def _reserved_lanes(network: RoadNetwork) -> str:
+    """How many lanes are not for all cars, as a sentence; empty for none."""
+    outside = np.flatnonzero(~network.internal).tolist()
+    counts = Counter(users for k in outside if (users := network.users(k)))
+    lanes = [f"{count} for {users}" for users, count in sorted(counts.items())]
+    return f"Lanes that are not for all cars: {'; '.join(lanes)}." if lanes else ""
 
 
 def _check_opendrive(path: Path, datum: Datum) -> int:

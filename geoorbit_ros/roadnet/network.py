@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -16,16 +16,27 @@ from pyproj.exceptions import ProjError
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.core.errors import CalibrationError
 from geoorbit_ros.roadnet.errors import RoadNetworkError
-from geoorbit_ros.roadnet.network_file import NetworkContent, read_network_file
+from geoorbit_ros.roadnet.network_file import MOTOR_CLASSES, NetworkContent, read_network_file
 from geoorbit_ros.roadnet.plane import NetworkPlane
 
 NO_LANE = -1
 """No lane, where a lane's number is expected."""
+USERS = {
+    "hov": "full cars",
+    "bus": "buses",
+    "taxi": "taxis",
+    "truck": "lorries",
+    "delivery": "deliveries",
+    "motorcycle": "motorcycles",
+    "bicycle": "bicycles",
+    "tram": "trams",
+}
+"""SUMO's classes in words."""
 
 
 @dataclass(frozen=True)
 class RoadNetwork:
-    """All lanes of a network that road vehicles may use, numbered from 0 in the file's order.
+    """All lanes of a network that road vehicles or bicycles may use, numbered in the file's order.
 
     Attributes:
         path: The network file.
@@ -47,6 +58,9 @@ class RoadNetwork:
             turnarounds.
         turnarounds: (L,) lanes that each lane leads into only by turning round. netconvert lets
             traffic turn round at every dead end, so at every end of an extract.
+        allowed: (L,) SUMO's vehicle classes that may use each lane.
+        both_ways: (L,) whether a lane is the middle of the road, for turns from both sides; the
+            other direction has one at the same place.
         left_hand: Whether traffic drives on the left.
     """
 
@@ -66,6 +80,8 @@ class RoadNetwork:
     point_m: NDArray[np.float64]
     successors: tuple[tuple[int, ...], ...]
     turnarounds: tuple[tuple[int, ...], ...]
+    allowed: tuple[frozenset[str], ...]
+    both_ways: NDArray[np.bool_]
     left_hand: bool = False
 
     def __len__(self) -> int:
@@ -100,6 +116,30 @@ class RoadNetwork:
         """Lane number by SUMO's lane id."""
         return {name: k for k, name in enumerate(self.lane_id)}
 
+    def may_use(self, classes: Collection[str]) -> NDArray[np.bool_]:
+        """(L,) whether vehicles of any of these SUMO classes may use each lane."""
+        wanted = frozenset(classes)
+        return np.array([not wanted.isdisjoint(allowed) for allowed in self.allowed])
+
+    @cached_property
+    def for_cars(self) -> NDArray[np.bool_]:
+        """(L,) whether all cars may drive along each lane: not on bus lanes or in the middle."""
+        return self.may_use({"passenger"}) & ~self.both_ways
+
+    @cached_property
+    def for_motors(self) -> NDArray[np.bool_]:
+        """(L,) whether some motor vehicles may use each lane: not on cycle lanes."""
+        return self.may_use(MOTOR_CLASSES) | self.both_ways
+
+    def users(self, lane: int) -> str:
+        """Who may use a lane, in words, e.g. `buses and taxis`; empty where all cars may."""
+        if self.for_cars[lane]:
+            return ""
+        if self.both_ways[lane]:
+            return "turns from both sides"
+        named = [text for name, text in USERS.items() if name in self.allowed[lane]]
+        return join_words(named) or "emergency vehicles"
+
     @cached_property
     def turns_round(self) -> NDArray[np.bool_]:
         """(L,) whether a lane is that of a turnaround inside a junction."""
@@ -113,8 +153,9 @@ class RoadNetwork:
         begin, end = (np.array([self._heading(k, at) for k in range(len(self))]) for at in (0, -1))
         ahead = np.where(self.internal, end, begin)  # a turn begins straight, and then turns
 
-        def turn(lane: int, after: int) -> float:
-            return abs(float((ahead[after] - end[lane] + np.pi) % (2.0 * np.pi) - np.pi))
+        def turn(lane: int, after: int) -> tuple[bool, float]:
+            apart = (ahead[after] - end[lane] + np.pi) % (2.0 * np.pi) - np.pi
+            return not self.for_motors[after], abs(float(apart))
 
         return tuple(
             min(nexts, key=lambda after, lane=lane: turn(lane, after), default=NO_LANE)
@@ -125,6 +166,14 @@ class RoadNetwork:
         """Direction of a lane's first (0) or last (-1) piece, counter-clockwise from east."""
         x, y = np.diff(self.line(lane), axis=0)[at]
         return float(np.arctan2(y, x))
+
+    @cached_property
+    def lanes_of(self) -> Mapping[str, tuple[int, ...]]:
+        """Lane numbers by edge."""
+        found: dict[str, list[int]] = {}
+        for lane, edge in enumerate(self.edge_id):
+            found.setdefault(edge, []).append(lane)
+        return {edge: tuple(lanes) for edge, lanes in found.items()}
 
     @cached_property
     def predecessors(self) -> tuple[tuple[int, ...], ...]:
@@ -164,6 +213,11 @@ def load_network(path: str | Path, datum: Datum | None = None) -> RoadNetwork:
         datum = _middle(content.projection, content.net_offset, 0.5 * (low + high), str(path))
     plane = NetworkPlane(content.projection, content.net_offset, bounds, datum, str(path))
     return _assemble(Path(path), datum, plane, content)
+
+
+def join_words(words: Sequence[str]) -> str:
+    """`a`, `a and b`, `a, b and c`."""
+    return " and ".join(filter(None, (", ".join(words[:-1]), *words[-1:])))
 
 
 def _own_datum(projection: str) -> Datum | None:
@@ -250,5 +304,7 @@ def _assemble(
         point_m=point_m,
         successors=successors,
         turnarounds=turnarounds,
+        allowed=tuple(lane.allowed for lane in lanes),
+        both_ways=np.array([lane.both_ways for lane in lanes], dtype=np.bool_),
         left_hand=content.left_hand,
     )

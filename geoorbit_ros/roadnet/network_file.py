@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import bz2
 import gzip
+import lzma
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree as Xml
@@ -15,12 +18,27 @@ from geoorbit_ros.roadnet.errors import RoadNetworkError
 
 DEFAULT_WIDTH_M = 3.2
 """SUMO's default, where a lane states no width (SUMO user documentation, SUMO Road Networks)."""
-_ROAD_CLASSES = frozenset(
-    {"private", "passenger", "taxi", "bus", "coach", "delivery", "truck", "trailer", "motorcycle"}
-)
+CARS = frozenset({"passenger", "private", "hov", "evehicle"})
+"""SUMO's classes of which a camera says only that they are cars."""
+MOTOR_CLASSES = CARS | {
+    "taxi", "bus", "coach", "delivery", "truck", "trailer", "motorcycle", "moped",
+}  # fmt: skip
+ALL_CLASSES = MOTOR_CLASSES | {
+    "emergency", "authority", "army", "vip", "pedestrian", "bicycle", "tram", "rail_urban", "rail",
+    "rail_electric", "rail_fast", "ship", "container", "cable_car", "subway", "aircraft",
+    "wheelchair", "scooter", "drone", "custom1", "custom2", "ignoring",
+}  # fmt: skip
+"""All of SUMO's vehicle classes (SUMO user documentation, Abstract Vehicle Class)."""
+BOTH_WAYS = "both_ways"
+"""Parameter of a lane in the middle of the road for turns from both sides (`lane_access`)."""
 _TURNAROUND = frozenset({"t", "T"})
 """Directions of a connection that turns round, in right-hand and left-hand networks (SUMO user
 documentation, SUMO Road Networks)."""
+_PACKERS: tuple[tuple[str, bytes, Callable[[bytes], bytes]], ...] = (
+    ("gzip", b"\x1f\x8b", gzip.decompress),
+    ("bzip2", b"BZh", bz2.decompress),
+    ("xz", b"\xfd7zXZ\x00", lzma.decompress),
+)
 _EXPECTED = "a SUMO network (.net.xml or .net.xml.gz)"
 
 
@@ -37,6 +55,8 @@ class LaneRecord:
         width_m: Its width.
         length_m: Length as the file states it, which may differ from the shape's.
         shape: (K, 2) centre line in travel order, K >= 2.
+        allowed: SUMO's vehicle classes that may use it.
+        both_ways: Whether it is the middle of the road, for turns from both sides.
     """
 
     lane_id: str
@@ -47,6 +67,8 @@ class LaneRecord:
     width_m: float
     length_m: float
     shape: NDArray[np.float64]
+    allowed: frozenset[str]
+    both_ways: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +91,7 @@ class NetworkContent:
     """What a network file holds.
 
     Attributes:
-        lanes: Lanes that road vehicles may use.
+        lanes: Lanes that road vehicles or bicycles may use.
         links: Connections, through internal lanes where there are any.
         projection: PROJ definition; empty when the network has none.
         net_offset: (x, y) added to projected coordinates.
@@ -83,23 +105,34 @@ class NetworkContent:
     left_hand: bool
 
 
+def read_unpacked(path: str | Path, expected: str) -> bytes:
+    """The content of a file, unpacked where it is packed with gzip, bzip2 or xz.
+
+    Raises:
+        RoadNetworkError: No such file, or a broken archive.
+    """
+    try:
+        data = Path(path).read_bytes()
+    except OSError as error:
+        found = (error.strerror or str(error)).lower()
+        raise RoadNetworkError(str(path), found, expected) from error
+    for name, begin, unpack in _PACKERS:
+        if data.startswith(begin):
+            try:
+                return unpack(data)
+            except (OSError, EOFError, ValueError, zlib.error, lzma.LZMAError) as error:
+                raise RoadNetworkError(str(path), f"broken {name} ({error})", expected) from error
+    return data
+
+
 def parse_xml(path: str | Path, expected: str = _EXPECTED) -> Xml.ElementTree[Xml.Element]:
-    """The tree of an XML file, gzipped or not.
+    """The tree of an XML file, packed or not.
 
     Raises:
         RoadNetworkError: No such file, or no XML.
     """
-    file = Path(path)
     try:
-        data = file.read_bytes()
-        if data[:2] == b"\x1f\x8b":
-            data = gzip.decompress(data)
-        return Xml.ElementTree(Xml.fromstring(data))
-    except OSError as error:
-        found = (error.strerror or str(error)).lower()
-        raise RoadNetworkError(str(path), found, expected) from error
-    except (EOFError, zlib.error) as error:
-        raise RoadNetworkError(str(path), f"broken gzip ({error})", expected) from error
+        return Xml.ElementTree(Xml.fromstring(read_unpacked(path, expected)))
     except Xml.ParseError as error:
         raise RoadNetworkError(str(path), f"broken XML ({error})", expected) from error
 
@@ -143,7 +176,9 @@ def _lanes(root: Xml.Element) -> list[LaneRecord]:
             points = [[float(v) for v in p.split(",")[:2]] for p in lane.attrib["shape"].split()]
             if not np.isfinite(points).all():
                 raise ValueError(f"a shape of lane '{lane.get('id')}' that is not finite")
-            if not _carries_vehicles(lane) or len(points) < 2:
+            allowed = allowed_classes(lane)
+            both_ways = any(p.get("key") == BOTH_WAYS for p in lane.iter("param"))
+            if len(points) < 2 or not (both_ways or allowed & (MOTOR_CLASSES | {"bicycle"})):
                 continue
             found.append(
                 LaneRecord(
@@ -155,16 +190,21 @@ def _lanes(root: Xml.Element) -> list[LaneRecord]:
                     float(lane.get("width", DEFAULT_WIDTH_M)),
                     float(lane.attrib["length"]),
                     np.array(points),
+                    allowed,
+                    both_ways,
                 )
             )
     return found
 
 
-def _carries_vehicles(lane: Xml.Element) -> bool:
+def allowed_classes(lane: Xml.Element) -> frozenset[str]:
+    """SUMO's vehicle classes that may use a lane, by its attributes `allow` and `disallow`."""
     allow, disallow = lane.get("allow"), lane.get("disallow")
     if allow is not None:
-        return allow == "all" or not _ROAD_CLASSES.isdisjoint(allow.split())
-    return disallow is None or not (disallow == "all" or _ROAD_CLASSES.issubset(disallow.split()))
+        return ALL_CLASSES if allow == "all" else frozenset(allow.split())
+    if disallow is None:
+        return ALL_CLASSES
+    return frozenset() if disallow == "all" else ALL_CLASSES - set(disallow.split())
 
 
 def _links(root: Xml.Element, known: set[str]) -> list[Link]:

@@ -7,7 +7,7 @@ read and kept; the rest of the network goes to `base.….xml`. netconvert makes 
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree import ElementTree as Xml
 
@@ -36,6 +36,8 @@ side, smaller loses edges that overlap at a junction."""
 END_M = 15.0
 """A lane's direction at its end is taken over this length. Chosen: longer flattens bends, shorter
 follows single points of the drawing."""
+_OF_SHAPE = frozenset({"id", "index", "shape", "width", "length"})
+"""Attributes of a lane that follow from its place; all others are kept."""
 _PLAIN = "the plain XML that netconvert wrote"
 
 
@@ -48,12 +50,23 @@ class LaneEdit:
         shape_m: (K, 2) centre line in travel order, in the network's own coordinates.
         width_m: Its width.
         rules: Its other attributes in the file: speed, permitted vehicle classes.
+        profile: (N, 2) shares of its length, ascending, and heights there; empty in a flat network.
     """
 
     origin: int | None
     shape_m: NDArray[np.float64]
     width_m: float
     rules: dict[str, str]
+    profile: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 2)))
+
+    @property
+    def points(self) -> NDArray[np.float64]:
+        """(K, 2 or 3) its centre line, with heights where the network has them."""
+        if not len(self.profile):
+            return self.shape_m
+        arc = np.append(0.0, np.cumsum(np.hypot(*np.diff(self.shape_m, axis=0).T)))
+        height = np.interp(arc / max(arc[-1], 1e-9), *self.profile.T)
+        return np.column_stack((self.shape_m, height))
 
 
 @dataclass(slots=True)
@@ -69,6 +82,7 @@ class EdgeEdit:
         self.reversed = not self.reversed
         for lane in self.lanes:
             lane.shape_m = lane.shape_m[::-1]
+            lane.profile = lane.profile[::-1] * [-1.0, 1.0] + [1.0, 0.0]
         self.lanes.reverse()
 
 
@@ -135,13 +149,17 @@ class PlainNetwork:
         return self._lanes[edge_id]
 
     def _lane(self, attributes: dict[str, str]) -> LaneEdit:
-        keep = ("speed", "allow", "disallow", "changeLeft", "changeRight", "type")
-        shape = [[float(v) for v in p.split(",")[:2]] for p in attributes["shape"].split()]
+        points = np.array([[float(v) for v in p.split(",")] for p in attributes["shape"].split()])
+        shape, profile = points[:, :2], np.empty((0, 2))
+        if points.shape[1] > 2:
+            arc = np.append(0.0, np.cumsum(np.hypot(*np.diff(shape, axis=0).T)))
+            profile = np.column_stack((arc / max(arc[-1], 1e-9), points[:, 2]))
         return LaneEdit(
             int(attributes["index"]),
-            np.array(shape),
+            shape,
             float(attributes.get("width", DEFAULT_WIDTH_M)),
-            {name: attributes[name] for name in keep if name in attributes},
+            {name: value for name, value in attributes.items() if name not in _OF_SHAPE},
+            profile,
         )
 
     def _split_edges(self) -> None:
@@ -163,11 +181,17 @@ class PlainNetwork:
         }
         touched |= {a for a, b in self._meeting() if a in self.changed or b in self.changed}
         kept: dict[tuple[str, str, str, str], dict[str, str]] = {}
+        lost: list[Xml.Element] = []
         for c in base.findall("connection"):
             if c.attrib["from"] in touched:
                 base.remove(c)
-                for key, rest in self._renumbered(c).items():
-                    kept[key] = rest
+                found = self._renumbered(c)
+                kept |= found
+                lost += [] if found else [c]
+        joined = {(a, b) for a, b, *_ in kept}
+        for c in lost:  # a way that only a removed lane led on: the lane beside it leads there now
+            if (c.attrib["from"], c.get("to", "")) not in joined:
+                kept |= self._renumbered(c, beside=True)
         for key in self._new_connections():
             kept.setdefault(key, {})
         for (a, b, i, j), rest in kept.items():
@@ -200,26 +224,36 @@ class PlainNetwork:
                 node.set("shape", self._outlines[name])
         self._save(nodes, BASE, "nod")
 
-    def _renumbered(self, c: Xml.Element) -> dict[tuple[str, str, str, str], dict[str, str]]:
-        """A connection with the new indices of its lanes; empty where a lane is gone."""
+    def _renumbered(
+        self, c: Xml.Element, beside: bool = False
+    ) -> dict[tuple[str, str, str, str], dict[str, str]]:
+        """A connection with the new indices of its lanes.
+
+        Empty where a lane is gone; with `beside`, the nearest lane takes its place.
+        """
         a, b = c.attrib["from"], c.get("to")
         if b is None or c.get("fromLane") is None:
             return {}
-        i = self._new_index(a, int(c.attrib["fromLane"]))
-        j = self._new_index(b, int(c.attrib["toLane"]))
+        i = self._new_index(a, int(c.attrib["fromLane"]), beside)
+        j = self._new_index(b, int(c.attrib["toLane"]), beside)
         if i is None or j is None:
             return {}
         skip = {"from", "to", "fromLane", "toLane", "shape", "linkIndex", "linkIndex2"}
         rest = {name: value for name, value in c.attrib.items() if name not in skip}
         return {(a, b, str(i), str(j)): rest}
 
-    def _new_index(self, edge_id: str, index: int) -> int | None:
+    def _new_index(self, edge_id: str, index: int, beside: bool) -> int | None:
         edit = self.changed.get(edge_id)
         if edit is None:
             return index
         if edit.reversed:
             return None
-        return next((k for k, lane in enumerate(edit.lanes) if lane.origin == index), None)
+        away = {
+            k: abs(lane.origin - index)
+            for k, lane in enumerate(edit.lanes)
+            if lane.origin is not None and (beside or lane.origin == index)
+        }
+        return min(away, key=lambda k: away[k], default=None)
 
     def _new_connections(self) -> list[tuple[str, str, str, str]]:
         """Connections of new lanes and reversed edges to the lanes straight ahead."""
@@ -292,13 +326,15 @@ def _edge_element(element: Xml.Element, edit: EdgeEdit) -> Xml.Element:
     new = Xml.Element("edge", attributes)
     for param in element.findall("param"):
         new.append(param)
+    given = {lane.get("index"): list(lane) for lane in element.findall("lane")}
     for index, lane in enumerate(edit.lanes):
-        Xml.SubElement(
+        added = Xml.SubElement(
             new,
             "lane",
             {**lane.rules, "index": str(index), "width": f"{lane.width_m:.2f}"},
-            shape=" ".join(f"{x:.4f},{y:.4f}" for x, y in lane.shape_m),
+            shape=" ".join(",".join(f"{v:.4f}" for v in point) for point in lane.points),
         )
+        added.extend(given.get(str(lane.origin), []))
     return new
 
 

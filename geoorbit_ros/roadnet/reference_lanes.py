@@ -75,7 +75,7 @@ def reference_lanes(network: RoadNetwork, view_m: NDArray[np.float64]) -> tuple[
 
     SUMO ends a lane at every junction; here it continues in the lane straight ahead. A lane that
     leaves a junction beside another begins there. A lane that is in view twice is cut to the
-    longer part.
+    longer part. Cycle lanes are left out; bus lanes are there, for buses make lanes, too.
 
     Args:
         network: The network, in the camera's own map frame (`load_network` with its datum).
@@ -90,6 +90,8 @@ def reference_lanes(network: RoadNetwork, view_m: NDArray[np.float64]) -> tuple[
     """
     found: list[Lane] = []
     for chain in lane_chains(network):
+        if not network.for_motors[chain].all():
+            continue
         line, width = _joined(network, chain)
         run = _longest_run(inside(line, view_m))
         if run.stop - run.start < MIN_LENGTH_M / SAMPLE_M:
@@ -126,6 +128,7 @@ def lane_chains(network: RoadNetwork) -> list[list[int]]:
         (abs((begin[b] - end[a] + np.pi) % (2 * np.pi) - np.pi), a, b)
         for a in range(len(network))
         for b in network.successors[a]
+        if network.for_motors[a] == network.for_motors[b]
     )
     after: dict[int, int] = {}
     before: dict[int, int] = {}

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.roadnet.network import NO_LANE
+from geoorbit_ros.roadnet.network import NO_LANE, RoadNetwork
 from geoorbit_ros.twin.placement import TwinStep
+from geoorbit_ros.twin.vehicles import TYPES, may_drive
 
 POSITION_LIMIT_M, HEADING_LIMIT_DEG, LANE_LIMIT = 0.05, 1.0, 0.005
 """Errors beyond these are reported as faults. Chosen: vehicles are put where their tracks are, so
 that errors are about zero; a larger one is a fault of SUMO or of its network."""
+
+
+RESERVED_S = 1.0
+"""A vehicle is in a lane that is not for it after this time. Chosen: shorter counts vehicles that
+touch the line, longer misses those that cross it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +80,57 @@ class HealthReport:
     def values(self) -> dict[str, float | int]:
         """All figures by name."""
         return asdict(self) | {"coasting_steps": self.unseen_steps}  # its old name, until 0.2.0
+
+
+class ReservedLanes:
+    """Counts vehicles in lanes that the map keeps for others: cars on a bus lane.
+
+    They stay where they are seen. Lanes inside junctions don't count.
+
+    Args:
+        network: The lanes.
+
+    Attributes:
+        vehicles: How many by type and lane, each vehicle once per lane.
+    """
+
+    def __init__(self, network: RoadNetwork) -> None:
+        self._network = network
+        self._closed = ~may_drive(network) & ~network.internal
+        self._since_ns: dict[tuple[int, int], int] = {}
+        self._counted: set[tuple[int, int]] = set()
+        self.vehicles: Counter[tuple[int, int]] = Counter()
+
+    def add(self, step: TwinStep) -> None:
+        """Take one step."""
+        there = step.observed & (step.lane != NO_LANE)
+        at = np.flatnonzero(there & self._closed[np.maximum(step.kind, 0), step.lane])
+        if not len(at) and not self._since_ns and not self._counted:
+            return
+        now = {(int(step.vehicle_id[k]), int(step.lane[k])): int(step.kind[k]) for k in at}
+        self._since_ns = {key: self._since_ns.get(key, step.stamp_ns) for key in now}
+        present = set(step.vehicle_id.tolist())
+        self._counted = {key for key in self._counted if key[0] in present}
+        for key, begin_ns in self._since_ns.items():
+            if step.stamp_ns - begin_ns >= RESERVED_S * 1e9 and key not in self._counted:
+                self._counted.add(key)
+                self.vehicles[now[key], key[1]] += 1
+
+    def sentences(self) -> list[str]:
+        """What was counted, a sentence per type and lane."""
+        return [
+            f"{count} {TYPES[kind].name if count == 1 else TYPES[kind].plural} drove along "
+            f"{self._network.lane_id[lane]}, which the map keeps for {self._network.users(lane)}; "
+            "the twin has them there."
+            for (kind, lane), count in sorted(self.vehicles.items(), key=lambda item: item[0][::-1])
+        ]
+
+    def values(self) -> dict[str, dict[str, int]]:
+        """The counts by lane and type, for JSON."""
+        found: dict[str, dict[str, int]] = {}
+        for (kind, lane), count in sorted(self.vehicles.items(), key=lambda item: item[0][::-1]):
+            found.setdefault(self._network.lane_id[lane], {})[TYPES[kind].name] = count
+        return found
 
 
 class HealthWindow:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from geoorbit_ros.mapcheck.alignment import Alignment
 from geoorbit_ros.mapcheck.driven_lanes import DrivenNetwork
 from geoorbit_ros.roadnet.network import NO_LANE, RoadNetwork
 from geoorbit_ros.twin.fusion import FusionCounts
-from geoorbit_ros.twin.health import HealthReport, HealthWindow
+from geoorbit_ros.twin.health import HealthReport, HealthWindow, ReservedLanes
 from geoorbit_ros.twin.placement import TwinStep
 from geoorbit_ros.twin.simulation import Simulation
 from geoorbit_ros.twin.synchronizer import Synchronizer
@@ -56,18 +56,21 @@ class ReplayScore:
         events: What happened to tracks.
         vehicles: How many vehicles there were.
         tracks: How many tracks, over all cameras.
+        reserved: Vehicles in lanes that the map keeps for others.
     """
 
     health: HealthReport
     events: FusionCounts
     vehicles: int
     tracks: int
+    reserved: ReservedLanes
 
-    def values(self) -> dict[str, float | int]:
+    def values(self) -> dict[str, Any]:
         """All figures by name; NaN, which JSON lacks, is left out."""
         found: dict[str, float | int] = {"vehicles_total": self.vehicles, "tracks": self.tracks}
         found |= self.health.values() | asdict(self.events)
-        return {name: value for name, value in found.items() if not math.isnan(value)}
+        known = {name: value for name, value in found.items() if not math.isnan(value)}
+        return known | {"in_reserved_lanes": self.reserved.values()}
 
 
 def replay_tracks(
@@ -120,7 +123,9 @@ def replay_tracks(
         twin.add(camera, stamp_ns, rows)
         tracks.update((camera, track) for track in rows["track_id"].tolist())
     twin.finish()
-    return ReplayScore(window.report(), twin.fusion.counts, len(first_ns), len(tracks))
+    return ReplayScore(
+        window.report(), twin.fusion.counts, len(first_ns), len(tracks), twin.reserved
+    )
 
 
 def _named(stream: TrackStream) -> Iterator[tuple[int, str, NDArray[np.void]]]:

@@ -13,7 +13,7 @@ from geoorbit_ros.core.polylines import project
 from geoorbit_ros.roadnet.network import NO_LANE, RoadNetwork
 from geoorbit_ros.roadnet.routing import RouteFinder
 from geoorbit_ros.twin.placement import TwinStep
-from geoorbit_ros.twin.vehicles import TYPES, add_type
+from geoorbit_ros.twin.vehicles import FREE, TYPES, add_free_type, add_type, may_drive
 
 ROUTES, TYPE_FILE, CONFIG = "traffic.rou.xml", "traffic.add.xml", "traffic.sumocfg"
 MIN_DRIVEN_M = 20.0
@@ -114,6 +114,7 @@ class RouteWriter:
         """
         routes, finder = Xml.Element("routes"), RouteFinder(self._network)
         factors: dict[int, list[float]] = {}
+        may, lanes_of = may_drive(self._network), self._network.lanes_of
         too_short = no_route = written = 0
         for number, seen in sorted(self._seen.items(), key=lambda item: item[1].begin_s):
             if seen.driven_m < MIN_DRIVEN_M:
@@ -125,13 +126,17 @@ class RouteWriter:
                 continue
             factor = float(np.clip(seen.driven_m / max(seen.measured_m, 1.0), *SPEED_FACTOR_BOUNDS))
             factors.setdefault(seen.kind, []).append(factor)
-            _add_vehicle(routes, number, seen, edges, factor, self._network)
+            able = may[seen.kind]
+            inside = able[seen.lane] and all(able[list(lanes_of[edge])].any() for edge in edges)
+            name = TYPES[seen.kind].name + ("" if inside else FREE)
+            _add_vehicle(routes, number, seen, edges, factor, name, self._network)
             written += 1
         additional = Xml.Element("additional")
         for kind, values in sorted(factors.items()):
             mean, spread = float(np.mean(values)), float(np.std(values))
             text = f"normc({mean:.3f},{spread:.3f},{min(values):.3f},{max(values):.3f})"
             add_type(additional, TYPES[kind].name, TYPES[kind], speedFactor=text)
+            add_free_type(additional, TYPES[kind], speedFactor=text)
         _save(routes, folder / ROUTES)
         _save(additional, folder / TYPE_FILE)
         _save(_config(network_file), folder / CONFIG)
@@ -144,6 +149,7 @@ def _add_vehicle(
     seen: _Seen,
     edges: list[str],
     factor: float,
+    type_name: str,
     network: RoadNetwork,
 ) -> None:
     arc = float(project(seen.xy[None], network.line(seen.lane)).arc_m[0]) + 0.5 * seen.length_m
@@ -152,7 +158,7 @@ def _add_vehicle(
         routes,
         "vehicle",
         id=f"v{number}",
-        type=TYPES[seen.kind].name,
+        type=type_name,
         depart=f"{seen.begin_s:.2f}",
         departLane=str(network.index[seen.lane]),
         departPos=f"{position:.2f}",

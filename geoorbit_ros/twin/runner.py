@@ -117,6 +117,7 @@ class TwinRunner:
             "steps": twin.steps,
             "vehicles_lost": twin.placement.lost,
             "simulation_restarts": self.restarts,
+            "vehicles_in_reserved_lanes": twin.reserved.vehicles.total(),
             **asdict(twin.fusion.counts),
         }
 

@@ -20,6 +20,7 @@ from geoorbit_ros.roadnet.network import NO_LANE, RoadNetwork
 from geoorbit_ros.roadnet.routing import position_ahead
 from geoorbit_ros.twin.camera_tracks import CameraTracks
 from geoorbit_ros.twin.fusion import Fusion
+from geoorbit_ros.twin.health import ReservedLanes
 from geoorbit_ros.twin.lane_changes import MAX_ACROSS_MPS
 from geoorbit_ros.twin.matching import LaneMatcher
 from geoorbit_ros.twin.placement import Placement, TwinStep
@@ -56,6 +57,7 @@ class Synchronizer:
         fusion: Assigns tracks to vehicles.
         placement: Puts SUMO's vehicles where the tracks say.
         steps: Simulated so far.
+        reserved: Vehicles in lanes that the map keeps for others.
     """
 
     def __init__(
@@ -76,6 +78,7 @@ class Synchronizer:
         self.vehicles = Vehicles()
         self.placement = Placement(network, self.vehicles, simulation)
         self.fusion = Fusion(self.vehicles, len(cameras), self._matcher.on_road)
+        self.reserved = ReservedLanes(network)
         self.steps = 0
 
     def set_datum(self, camera: str, datum: Datum) -> None:
@@ -144,7 +147,7 @@ class Synchronizer:
         self._coast(unseen[table["active"][unseen]], step_s)
         slots = vehicles.slots
         found = self._matcher.update(
-            slots, *(table[name][slots] for name in ("xy", "heading", "sigma", "observed"))
+            slots, *(table[name][slots] for name in ("xy", "heading", "sigma", "observed", "kind"))
         )
         table["lane"][slots], table["arc"][slots] = found.lane, found.arc_m
         table["offset"][slots], table["within"][slots] = found.offset_m, found.within
@@ -158,6 +161,7 @@ class Synchronizer:
         if self.fusion.false_since_ns:
             step = replace(step, false_since_ns=self.fusion.false_since_ns)
         self.steps += 1
+        self.reserved.add(step)
         self._on_step(step)
 
     def _let_leave(self, slot: NDArray[np.int64]) -> None:

@@ -9,7 +9,8 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.roadnet.network import NO_LANE
+from geoorbit_ros.roadnet.network import NO_LANE, RoadNetwork
+from geoorbit_ros.roadnet.network_file import CARS
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,18 +24,31 @@ class TwinVehicleType:
     width_m: float
     height_m: float
     coco_class: int
+    plural: str
 
 
 TYPES: tuple[TwinVehicleType, ...] = (
-    TwinVehicleType("car", "passenger", "passenger", 4.7, 1.85, 1.5, 2),
-    TwinVehicleType("motorcycle", "motorcycle", "motorcycle", 2.2, 0.8, 1.5, 3),
-    TwinVehicleType("bus", "bus", "bus", 12.0, 2.55, 3.2, 5),
-    TwinVehicleType("truck", "truck", "truck", 9.0, 2.5, 3.4, 7),
-    TwinVehicleType("bicycle", "bicycle", "bicycle", 1.8, 0.6, 1.6, 1),
+    TwinVehicleType("car", "passenger", "passenger", 4.7, 1.85, 1.5, 2, "cars"),
+    TwinVehicleType("motorcycle", "motorcycle", "motorcycle", 2.2, 0.8, 1.5, 3, "motorcycles"),
+    TwinVehicleType("bus", "bus", "bus", 12.0, 2.55, 3.2, 5, "buses"),
+    TwinVehicleType("truck", "truck", "truck", 9.0, 2.5, 3.4, 7, "trucks"),
+    TwinVehicleType("bicycle", "bicycle", "bicycle", 1.8, 0.6, 1.6, 1, "bicycles"),
 )
 """Sizes: AASHTO design vehicles, rounded to common ones; a track's own size is preferred."""
+USED_AS = {
+    "passenger": CARS,
+    "motorcycle": frozenset({"motorcycle", "moped"}),
+    "bus": frozenset({"bus", "coach"}),
+    "truck": frozenset({"truck", "trailer", "delivery"}),
+    "bicycle": frozenset({"bicycle"}),
+}
+"""SUMO's classes that a vehicle of a type may be: a camera does not see whether a car is full."""
 CAR = 0
 """Number of the type of objects that are no vehicles."""
+FREE = "_in_any_lane"
+"""End of the names of types that SUMO lets drive in every lane (its class `ignoring`)."""
+BICYCLE = next(k for k, kind in enumerate(TYPES) if kind.name == "bicycle")
+"""Number of the type of bicycles."""
 LENGTH_BOUNDS_M, WIDTH_BOUNDS_M = (1.5, 25.0), (0.5, 3.0)
 """Tracked sizes outside are replaced by the type's. Chosen: from a bicycle to a lorry with trailer;
 wider passes on boxes of two vehicles."""
@@ -48,11 +62,24 @@ def type_of_class(class_id: NDArray[np.int32]) -> NDArray[np.int64]:
     return np.asarray(number[np.clip(class_id, 0, 255)], dtype=np.int64)
 
 
+def may_drive(network: RoadNetwork) -> NDArray[np.bool_]:
+    """(T, L) whether vehicles of each type may drive in each lane of a network."""
+    return np.array([network.may_use(USED_AS[kind.vclass]) | network.both_ways for kind in TYPES])
+
+
+def add_free_type(root: Xml.Element, kind: TwinVehicleType, **values: str) -> None:
+    """Add the type of vehicles that were seen in lanes that are not for them."""
+    add_type(root, kind.name + FREE, kind, **{"vClass": "ignoring", **values})
+
+
 def write_types(path: Path) -> None:
-    """Write SUMO's `additional` file with all types."""
+    """Write SUMO's `additional` file with all types of the running twin.
+
+    There vehicles are where they are seen, whoever may use the lane (SUMO's class `ignoring`).
+    """
     root = Xml.Element("additional")
     for kind in TYPES:
-        add_type(root, kind.name, kind)
+        add_type(root, kind.name, kind, vClass="ignoring")
     Xml.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
 
 

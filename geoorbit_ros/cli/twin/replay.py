@@ -94,7 +94,7 @@ def replay(
             folder, network, run.busiest.step, streams, bags, calibration, size, video
         )
     _print_score(run.score)
-    for sentence in said:
+    for sentence in (*said, *run.score.reserved.sentences()):
         say(sentence)
     console.print(f" Wrote {out}", soft_wrap=True)
 

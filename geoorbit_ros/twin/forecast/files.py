@@ -14,7 +14,7 @@ from geoorbit_ros.roadnet.routing import MAX_EDGES, RouteFinder
 from geoorbit_ros.twin.forecast.observed_traffic import Demand
 from geoorbit_ros.twin.placement import TwinStep
 from geoorbit_ros.twin.scenario import Scenario
-from geoorbit_ros.twin.vehicles import TYPES, add_type
+from geoorbit_ros.twin.vehicles import FREE, TYPES, add_free_type, add_type, may_drive
 
 STEP_S = 0.5
 """Length of a step. SUMO's drivers are made for steps up to their reaction time of 1 s (`tau`, SUMO
@@ -56,6 +56,7 @@ def write_forecast(
     additional = Xml.Element("additional")
     for kind in TYPES:
         add_type(additional, kind.name, kind)
+        add_free_type(additional, kind)
     # Lanes without vehicles are listed, too.
     measured = {"id": "all", "file": LANES, "excludeEmpty": "false", "withInternal": "0"}
     Xml.SubElement(additional, "laneData", measured | {"begin": "0", "end": f"{start.horizon_s:g}"})
@@ -109,14 +110,14 @@ def _routes(network: RoadNetwork, start: ForecastStart) -> Xml.Element:
         position = min(max(front, 0.1), float(network.length_m[lane]) - 0.1)
         _vehicle(
             root,
-            draw.onwards(network.edge_id[lane]),
+            draw.onwards(network.edge_id[lane], int(step.kind[k])),
             id=f"v{step.vehicle_id[k]}",
-            type=TYPES[step.kind[k]].name,
+            type=TYPES[step.kind[k]].name + ("" if draw.may[step.kind[k], lane] else FREE),
             depart="0",
             departLane=str(network.index[lane]),
             departPos=f"{position:.2f}",
             departSpeed=f"{speed[k]:.2f}",
-            speedFactor=f"{draw.driver()[1]:.3f}",
+            speedFactor=f"{draw.driver(network.edge_id[lane])[1]:.3f}",
             insertionChecks="none",
         )
     arrivals: list[tuple[float, str]] = []
@@ -127,12 +128,12 @@ def _routes(network: RoadNetwork, start: ForecastStart) -> Xml.Element:
         times = np.cumsum(gaps) * 3600.0 / max(flow, 1e-9)
         arrivals += [(time, edge) for time in times.tolist() if time < start.horizon_s]
     for number, (time, edge) in enumerate(sorted(arrivals)):
-        kind, factor = draw.driver()
+        kind, factor = draw.driver(edge)
         _vehicle(
             root,
-            draw.onwards(edge),
+            draw.onwards(edge, kind),
             id=f"new{number}",
-            type=TYPES[kind].name,
+            type=TYPES[kind].name + ("" if draw.may_enter(edge, kind) else FREE),
             depart=f"{time:.2f}",
             departLane="random",  # of the open ones; drivers leave it in time
             departSpeed="max",
@@ -146,30 +147,43 @@ def _vehicle(root: Xml.Element, edges: list[str], **values: str) -> None:
 
 
 class _RouteDraw:
-    """Draws routes by the turns that were seen, and drivers among those that were seen."""
+    """Draws routes by the turns that were seen, and drivers among those that were seen.
+
+    Attributes:
+        may: (T, L) whether vehicles of each type may drive in each lane.
+    """
 
     def __init__(self, network: RoadNetwork, demand: Demand, random: np.random.Generator) -> None:
         self._finder, self._demand, self._random = RouteFinder(network), demand, random
+        self.may = may_drive(network)
+        self._enter = {e: self.may[:, list(k)].any(axis=1) for e, k in network.lanes_of.items()}
 
-    def onwards(self, edge: str) -> list[str]:
-        """An edge and those after it, by the turns that were seen.
+    def may_enter(self, edge: str, kind: int) -> bool:
+        """Whether vehicles of a type may drive in some lane of an edge."""
+        return bool(self._enter[edge][kind])
+
+    def onwards(self, edge: str, kind: int) -> list[str]:
+        """An edge and those after it that are for a type, by the turns that were seen.
 
         Where no vehicle was seen to go on, traffic parts as the lanes do, up to the network's end.
         """
         route = [edge]
         while len(route) < MAX_EDGES:
             turns = self._demand.turns.get(route[-1]) or self._finder.branches(route[-1])
-            targets = [target for target in turns if target not in route]
+            targets = [t for t in turns if t not in route and self.may_enter(t, kind)]
             if not targets:
                 break
             counts = np.array([turns[target] for target in targets], dtype=np.float64)
             route.append(targets[int(self._random.choice(len(targets), p=counts / counts.sum()))])
         return route
 
-    def driver(self) -> tuple[int, float]:
-        """Type and speed factor of one of the vehicles that were seen."""
-        k = int(self._random.integers(len(self._demand.kinds)))
-        return int(self._demand.kinds[k]), float(self._demand.factors[k])
+    def driver(self, edge: str) -> tuple[int, float]:
+        """Type and speed factor of one of the vehicles that were seen and may drive on an edge."""
+        kinds = self._demand.kinds
+        able = np.flatnonzero(self._enter[edge][kinds])
+        able = able if len(able) else np.arange(len(kinds))
+        k = int(able[int(self._random.integers(len(able)))])
+        return int(kinds[k]), float(self._demand.factors[k])
 
 
 def _save(root: Xml.Element, path: Path) -> None:

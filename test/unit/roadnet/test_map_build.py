@@ -108,7 +108,7 @@ def test_a_network_there_is_becomes_a_map_too(tmp_path: Path) -> None:
     [
         (osm()[:400], "broken XML"),
         (osm("waterway"), "no road"),
-        ("<net/>", "a file of <net>"),
+        ("<net/>", "a SUMO network"),
         (osm().replace("primary", "footway"), "no lane for road vehicles|netconvert says"),
     ],
 )

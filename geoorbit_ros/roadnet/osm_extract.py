@@ -1,0 +1,369 @@
+"""Reads OpenStreetMap extracts of any origin: XML, gzip or bzip2 of it, Overpass's JSON.
+
+What one element says wrongly is repaired or left out, counted and told (`core/input_report.py`). A
+file is refused when it has no road, or when most of its roads are bad.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as Xml
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.core.input_report import InputReport, Treatment
+from geoorbit_ros.roadnet.driving_side import SIDES, Side
+from geoorbit_ros.roadnet.errors import RoadNetworkError
+from geoorbit_ros.roadnet.network_file import read_unpacked
+
+EXPECTED = "an OpenStreetMap extract (.osm, .osm.gz, .osm.bz2, or JSON of Overpass)"
+ELE_SHARE = 0.5
+"""Heights are used where at least this share of the points of roads have one. Chosen: smaller makes
+cliffs at the points without, larger drops heights that a few points lack."""
+_OTHERS: tuple[tuple[bytes, str, str], ...] = (
+    (
+        b"OSMHeader",
+        "an extract in the binary format .osm.pbf",
+        "OSM XML: osmium cat area.osm.pbf -o area.osm (or osmconvert, or JOSM)",
+    ),
+    (b"PK\x03\x04", "a zip archive", "the extract in it: unzip it first"),
+    (b"\xff\xe0\x04o5m2", "an extract in o5m", "OSM XML: osmconvert area.o5m -o=area.osm"),
+    (b"SQLite format 3", "an SQLite database", EXPECTED),
+)
+_ROOTS = {
+    "net": ("a SUMO network", "an extract; a network is given with --net"),
+    "OpenDRIVE": ("an OpenDRIVE road", f"{EXPECTED}; netconvert --opendrive makes a network of it"),
+    "osmChange": ("changes of a map (osmChange)", EXPECTED),
+    "gpx": ("a GPX track", EXPECTED),
+    "kml": ("a KML file", EXPECTED),
+    "html": ("a web page, maybe a server's error message", EXPECTED),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class OsmExtract:
+    """A cleaned extract.
+
+    Attributes:
+        root: Its `osm` element: every way has at least two points, all of them nodes with a place.
+        report: What was repaired and left out.
+        middle: Of the points of its roads, to seven decimals of a degree.
+        length_m: Of its roads.
+        tagged_m: Of those whose tags say on which side traffic drives.
+        has_heights: Whether its points have heights.
+    """
+
+    root: Xml.Element
+    report: InputReport
+    middle: Datum
+    length_m: float
+    tagged_m: dict[Side, float]
+    has_heights: bool
+
+    def write(self, path: Path) -> None:
+        """Write it as OSM XML."""
+        Xml.ElementTree(self.root).write(path, encoding="utf-8", xml_declaration=True)
+
+
+def tags_of(element: Xml.Element) -> dict[str, str]:
+    """The tags of a node, way or relation."""
+    return {tag.get("k", ""): tag.get("v", "") for tag in element.iter("tag")}
+
+
+def set_tags(element: Xml.Element, tags: Mapping[str, str]) -> None:
+    """Replace the tags of a node, way or relation."""
+    for tag in element.findall("tag"):
+        element.remove(tag)
+    for key, value in tags.items():
+        Xml.SubElement(element, "tag", k=key, v=value)
+
+
+def roads_of(root: Xml.Element) -> Iterator[tuple[Xml.Element, dict[str, str]]]:
+    """The ways with the tag highway, with their tags."""
+    for way in root.iter("way"):
+        tags = tags_of(way)
+        if "highway" in tags:
+            yield way, tags
+
+
+def read_extract(path: Path, strict: bool = False) -> OsmExtract:
+    """Read and clean an extract.
+
+    Args:
+        path: The file.
+        strict: Refuse a file with any fault.
+
+    Raises:
+        RoadNetworkError: No file, no extract, no road in it.
+        InputFileError: Most of its roads are bad, or any of them, when `strict`.
+    """
+    root = _parse(path)
+    report = InputReport(str(path), "roads")
+    for remark in root.iter("remark"):
+        text = " ".join((remark.text or "").split())
+        report.note(Treatment.DOUBTFUL, f"the server broke off, so roads may be missing: {text}")
+    _drop_deleted(root, report)
+    _add_drawn_points(root)
+    _drop_bad_nodes(root, report)
+    _drop_bad_ways(root, report)
+    _number_new_ways(root, report)
+    roads = list(roads_of(root))
+    if not roads:
+        why = report.remarks[0].sentence(report.total, report.things) if report.remarks else ""
+        found = "no road (way with the tag highway)" + (f"; {why}" if why else "")
+        raise RoadNetworkError(str(path), found, EXPECTED)
+    report.check(strict, EXPECTED)
+    places = {
+        node.attrib["id"]: (float(node.attrib["lat"]), float(node.attrib["lon"]))
+        for node in root.iter("node")
+    }
+    lines = [np.array([places[nd.attrib["ref"]] for nd in way.iter("nd")]) for way, _ in roads]
+    middle = _middle(np.concatenate(lines))
+    metres = [_length_m(line, middle) for line in lines]
+    tagged = {
+        side: sum(m for m, (_, t) in zip(metres, roads, strict=True) if _side(t) == side)
+        for side in SIDES
+    }
+    heights = _check_heights(root, roads, report)
+    return OsmExtract(root, report, middle, sum(metres), tagged, heights)
+
+
+def _parse(path: Path) -> Xml.Element:
+    """The tree of a file, whatever it is packed in.
+
+    Raises:
+        RoadNetworkError: No file, or none of an extract.
+    """
+    place, data = str(path), read_unpacked(path, EXPECTED)
+    text = data.lstrip(b"\xef\xbb\xbf \t\r\n")
+    for begin, found, expected in _OTHERS:
+        if begin in data[: 32 + len(begin)]:
+            raise RoadNetworkError(place, found, expected)
+    if not text:
+        raise RoadNetworkError(place, "an empty file", EXPECTED)
+    if text[:1] in (b"{", b"["):
+        return _tree_of_json(text, place)
+    try:
+        root = Xml.fromstring(data)
+    except Xml.ParseError as error:
+        page = text[:200].lower().startswith((b"<!doctype html", b"<html"))
+        found, expected = _ROOTS["html"] if page else (f"broken XML ({error})", EXPECTED)
+        raise RoadNetworkError(place, found, expected) from error
+    tag = root.tag.rpartition("}")[2]
+    if tag != "osm":
+        found, expected = _ROOTS.get(tag, (f"a file of <{tag}>", EXPECTED))
+        raise RoadNetworkError(place, found, expected)
+    return root
+
+
+def _tree_of_json(text: bytes, place: str) -> Xml.Element:
+    """The XML of Overpass's JSON.
+
+    Raises:
+        RoadNetworkError: No JSON, or JSON of something else.
+    """
+    try:
+        data: Any = json.loads(text)
+    except ValueError as error:
+        raise RoadNetworkError(place, f"broken JSON ({error})", EXPECTED) from error
+    kind = data.get("type") if isinstance(data, dict) else None
+    if kind in ("FeatureCollection", "Feature", "GeometryCollection"):
+        found = f"GeoJSON (a {kind}), which has no road network"
+        raise RoadNetworkError(place, found, EXPECTED)
+    elements = data.get("elements") if isinstance(data, dict) else None
+    if not isinstance(elements, list):
+        raise RoadNetworkError(place, "JSON that is no answer of Overpass", EXPECTED)
+    root = Xml.Element("osm", version="0.6")
+    if data.get("remark"):
+        Xml.SubElement(root, "remark").text = str(data["remark"])
+    for given in elements:
+        if not isinstance(given, dict) or given.get("type") not in ("node", "way", "relation"):
+            continue
+        names = {k: str(given[k]) for k in ("id", "lat", "lon", "version") if k in given}
+        element = Xml.SubElement(root, given["type"], names)
+        drawn = given.get("geometry") or []
+        refs = given.get("nodes") or [None] * len(drawn)
+        for k, ref in enumerate(refs):
+            point = drawn[k] if k < len(drawn) and isinstance(drawn[k], dict) else {}
+            nd = {} if ref is None else {"ref": str(ref)}
+            Xml.SubElement(
+                element, "nd", nd | {a: str(point[a]) for a in ("lat", "lon") if a in point}
+            )
+        if isinstance(given.get("center"), dict):
+            Xml.SubElement(element, "center")
+        for member in given.get("members") or []:
+            parts = {k: str(member[k]) for k in ("type", "ref", "role") if k in member}
+            Xml.SubElement(element, "member", parts)
+        for key, value in (given.get("tags") or {}).items():
+            Xml.SubElement(element, "tag", k=str(key), v=str(value))
+    return root
+
+
+def _drop_deleted(root: Xml.Element, report: InputReport) -> None:
+    """Leave out what an editor has deleted: JOSM keeps it in the file until it is uploaded."""
+    gone = [e for e in root if e.get("action") == "delete" or e.get("visible") == "false"]
+    for element in gone:
+        root.remove(element)
+    roads = sum(element.tag == "way" for element in gone)
+    if gone:
+        text = f"deleted in an editor and left out: {roads} ways, {len(gone) - roads} others"
+        report.note(Treatment.NOTED, text)
+
+
+def _add_drawn_points(root: Xml.Element) -> None:
+    """Make nodes of the points that ways carry themselves (`out geom` of Overpass)."""
+    known = {node.get("id") for node in root.iter("node")}
+    new: dict[tuple[str, str], str] = {}
+    for nd in [nd for way in root.findall("way") for nd in way.findall("nd")]:
+        place = (nd.attrib.pop("lat", ""), nd.attrib.pop("lon", ""))
+        if not all(place) or nd.get("ref") in known:
+            continue
+        ref = nd.get("ref") or new.get(place) or f"-{10**15 + len(new)}"
+        nd.set("ref", ref)
+        new.setdefault(place, ref)
+        if ref not in known:
+            known.add(ref)
+            root.append(Xml.Element("node", id=ref, lat=place[0], lon=place[1]))
+
+
+def _drop_bad_nodes(root: Xml.Element, report: InputReport) -> None:
+    """Leave out nodes without a place on earth; their ways lose a point."""
+    bad = []
+    for node in root.findall("node"):
+        try:
+            good = abs(float(node.get("lat", "nan"))) <= 90.0
+            good &= abs(float(node.get("lon", "nan"))) <= 180.0
+        except ValueError:
+            good = False
+        if not good or not node.get("id"):
+            bad.append(node)
+            root.remove(node)
+    if bad:
+        first = f"node {bad[0].get('id')} at {bad[0].get('lat')}, {bad[0].get('lon')}"
+        report.note(Treatment.NOTED, f"{len(bad)} points without a place left out", first)
+
+
+def _drop_bad_ways(root: Xml.Element, report: InputReport) -> None:
+    """Leave out ways twice in the file, and ways with fewer than two points that are known."""
+    known = {node.get("id") for node in root.iter("node")}
+    best: dict[str, Xml.Element] = {}
+    twice: list[str] = []
+    for way in root.findall("way"):
+        number = way.get("id", "")
+        if number in best:
+            twice.append(number)
+        if number not in best or _version(way) > _version(best[number]):
+            best[number] = way
+    cut, short, lone = [], [], []
+    for way in root.findall("way"):
+        points = way.findall("nd")
+        lost = [nd for nd in points if nd.get("ref") not in known]
+        for nd in lost:
+            way.remove(nd)
+        road = any(tag.get("k") == "highway" for tag in way.iter("tag"))
+        report.total += road
+        number = way.get("id", "")
+        if best[number] is not way:
+            root.remove(way)
+        elif len({nd.get("ref") for nd in points} & known) < 2:
+            root.remove(way)
+            (lone if way.find("center") is not None and not points else short).extend(
+                [number] * road
+            )
+        elif lost and road:
+            cut.append(number)
+    left_out = Treatment.LEFT_OUT
+    report.add(left_out, len(twice), "the way is twice in the file", _first(twice))
+    text = "only its middle is in the file (out center of Overpass; out geom has the points)"
+    report.add(left_out, len(lone), text, _first(lone))
+    text = "fewer than two of its points are in the file (Overpass: (._;>;); out;)"
+    report.add(left_out, len(short), text, _first(short))
+    text = "ends at the last point that is in the file"
+    report.add(Treatment.REPAIRED, len(cut), text, _first(cut))
+
+
+def _number_new_ways(root: Xml.Element, report: InputReport) -> None:
+    """Give new ways of an editor, which have negative numbers, numbers that no other way has.
+
+    In a network -5 is the way back along road 5.
+    """
+    ways = {way.get("id", ""): way for way in root.iter("way")}
+    new = [number for number in ways if not number.isascii() or not number.isdigit()]
+    free = max((int(number) for number in ways if number not in new), default=0) + 1
+    names = {number: str(free + k) for k, number in enumerate(new)}
+    for number, name in names.items():
+        ways[number].set("id", name)
+    for member in root.iter("member"):
+        if member.get("type") == "way" and member.get("ref") in names:
+            member.set("ref", names[member.attrib["ref"]])
+    roads = [n for n in new if any(t.get("k") == "highway" for t in ways[n].iter("tag"))]
+    text = "new in an editor, with a negative number; it gets a number of its own"
+    example = f"way {roads[0]} is {names[roads[0]]}" if roads else ""
+    report.add(Treatment.NOTED, len(roads), text, example)
+
+
+def _check_heights(
+    root: Xml.Element, roads: list[tuple[Xml.Element, dict[str, str]]], report: InputReport
+) -> bool:
+    """Whether most points of roads have a height in metres; the others get one between them."""
+    nodes = {node.attrib["id"]: node for node in root.iter("node")}
+    height: dict[str, float] = {}
+    bad = []
+    for name, node in nodes.items():
+        for tag in [t for t in node.findall("tag") if t.get("k") == "ele"]:
+            try:
+                height[name] = float(tag.get("v", "").removesuffix("m"))
+                tag.set("v", f"{height[name]:g}")
+            except ValueError:
+                node.remove(tag)
+                bad.append(f"node {name}: {tag.get('v')}")
+    if bad:
+        report.note(Treatment.NOTED, f"{len(bad)} heights that are no numbers left out", bad[0])
+    lines = [[nd.attrib["ref"] for nd in way.iter("nd")] for way, _ in roads]
+    used = {ref for line in lines for ref in line}
+    given = used & height.keys()
+    if len(given) < ELE_SHARE * len(used):
+        if given:
+            few = f"{len(given)} of {len(used)} points of roads have a height (ele)"
+            report.note(Treatment.NOTED, f"{few}: too few, not used")
+        return False
+    if lacking := used - given:
+        usual = float(np.median([height[ref] for ref in given]))
+        for line in lines:
+            there = [k for k, ref in enumerate(line) if ref in given]
+            for k in [k for k, ref in enumerate(line) if ref in lacking]:
+                between = [height[line[j]] for j in there]
+                metres = float(np.interp(k, there, between)) if there else usual
+                Xml.SubElement(nodes[line[k]], "tag", k="ele", v=f"{metres:g}")
+                lacking.discard(line[k])
+        text = f"{len(used) - len(given)} of {len(used)} points of roads have no height (ele)"
+        report.note(Treatment.NOTED, f"{text}: they get one between their neighbours'")
+    return True
+
+
+def _side(tags: dict[str, str]) -> str:
+    return tags.get("driving_side", "").strip().lower()
+
+
+def _version(way: Xml.Element) -> int:
+    text = way.get("version", "0")
+    return int(text) if text.isascii() and text.isdigit() else 0
+
+
+def _first(numbers: list[str]) -> str:
+    return f"way {numbers[0]}" if numbers else ""
+
+
+def _middle(lat_lon: NDArray[np.float64]) -> Datum:
+    latitude, longitude = 0.5 * (lat_lon.min(axis=0) + lat_lon.max(axis=0))
+    return Datum(round(float(latitude), 7), round(float(longitude), 7))
+
+
+def _length_m(lat_lon: NDArray[np.float64], middle: Datum) -> float:
+    return float(np.hypot(*np.diff(middle.to_local(*lat_lon.T), axis=0).T).sum())
