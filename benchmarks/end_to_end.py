@@ -23,7 +23,7 @@ import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from geoorbit_ros.calibration.control_points import read_control_points
+from geoorbit_ros.calibration.control_point_file import read_control_points
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.cli.camera_run import CameraRun, WatchedMapper
 from geoorbit_ros.cli.console import error_console, make_progress

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.box_projector import BoxProjector
-from geoorbit_ros.calibration.control_points import read_control_points
+from geoorbit_ros.calibration.control_point_file import read_control_points
 from geoorbit_ros.calibration.homography import Homography, fit_homography
 from geoorbit_ros.core.tables import Frames
 from geoorbit_ros.lanes.estimators.estimator import LaneEstimator, make_estimator

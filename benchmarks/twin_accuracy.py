@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from counted_lanes import CountedLanes
 from geoorbit_ros.calibration.box_projector import BoxProjector
-from geoorbit_ros.calibration.control_points import read_control_points
+from geoorbit_ros.calibration.control_point_file import read_control_points
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.core.tables import DETECTION_DTYPE
 from geoorbit_ros.lanes.estimators.estimator import make_estimator

@@ -64,7 +64,7 @@ def fill(camera: CameraInput, memory: LaneMemory) -> tuple[int, int]:
     Returns:
         Minutes played, and segments remembered.
     """
-    frames: list[StampedRows] = list(project_frames(camera.frames, camera.projector()))
+    frames: list[StampedRows] = list(project_frames(camera.frames, camera.projector))
     mapper = LaneMapper(make_estimator(ESTIMATOR), update_period_s=UPDATE_PERIOD_S)
     first_ns, last_ns = frames[0][0], frames[-1][0]
     period_ns = last_ns - first_ns + (last_ns - first_ns) // max(len(frames) - 1, 1)

@@ -10,11 +10,14 @@ from numpy.typing import NDArray
 from geoorbit_ros.calibration.camera_pose import CameraPose, recover_pose
 from geoorbit_ros.calibration.homography import Homography
 from geoorbit_ros.calibration.plane import worst_sigma
+from geoorbit_ros.calibration.plausibility import TrafficCheck, calibration_report
 from geoorbit_ros.calibration.track_velocity import TrackSlots, VelocityFilter
 from geoorbit_ros.calibration.vehicle_fit import fit_vehicles
 from geoorbit_ros.calibration.vehicle_size import SizeFilter
 from geoorbit_ros.core.errors import CalibrationError, TableError
+from geoorbit_ros.core.input_report import InputReport
 from geoorbit_ros.core.tables import (
+    FLAG_DOUBTFUL,
     FLAG_GROUND_POINT,
     FLAG_PREDICTED,
     FLAG_TRUNCATED,
@@ -77,8 +80,10 @@ class BoxProjector:
         max_sigma_m: Leave out rows whose 1-sigma ground error is larger.
         border_ratio: Share of the image's width and height that counts as its border.
 
-    Raises:
-        CalibrationError: Control points outside the image: it isn't the image they belong to.
+    Attributes:
+        calibration_report: What is to be said about the control points and their image.
+        traffic: Looks whether the vehicles are what these inputs together can show.
+        doubted: Set by who knows of something else that speaks against the boxes.
     """
 
     def __init__(
@@ -100,20 +105,33 @@ class BoxProjector:
         self._size_px = np.array(image_size, dtype=np.float64)
         self._border = border_ratio * self._size_px
         self._horizon = homography.matrix[2]
-        self._check_image_size()
+        self.calibration_report = calibration_report(homography, image_size)
+        self.doubted = False
         try:
             self.pose = recover_pose(homography, image_size)
             self._projection = self.pose.projection
         except CalibrationError as error:
             self.pose_error = error
             self._projection = np.insert(homography.inverse, 2, 0.0, axis=1)
+        self.traffic = TrafficCheck(homography, image_size, self.pose, self.pose_error)
         self.reset()
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether something speaks against trusting what is made of these tracks."""
+        return self.doubted or self.calibration_report.doubtful or self.traffic.doubtful
+
+    def reports(self, place: str) -> tuple[InputReport, InputReport]:
+        """What is to be said about the calibration, and about the traffic of `place`."""
+        traffic = InputReport(place, "vehicles", remarks=list(self.traffic.findings))
+        return self.calibration_report, traffic
 
     def reset(self) -> None:
         """Forget all tracks, for a source that starts again at an earlier time."""
         self._slots = TrackSlots()
         self._motion = VelocityFilter(self._slots.capacity)
         self._sizes = SizeFilter(self._slots.capacity)
+        self.traffic.reset()
         self._stamp_ns: int | None = None
         self._epoch_ns: int | None = None
         self._period = 0
@@ -135,6 +153,7 @@ class BoxProjector:
         time_s = (stamp_ns - self._epoch_ns) * 1e-9
         period, self._period = self._period, int(time_s / SIZE_PERIOD_S)
         self._stamp_ns = stamp_ns
+        self.traffic.add(stamp_ns, rows)
         rows, centre, side, truncated = self._usable_rows(rows)
         if not len(rows):
             return np.empty(0, dtype=TRACK_DTYPE)
@@ -171,6 +190,7 @@ class BoxProjector:
         out["heading"], out["sigma"] = heading, sigma
         out["length"], out["width"] = size[:, 0], size[:, 1]
         out["flags"] = (rows["flags"] & FLAG_PREDICTED) | np.where(truncated, FLAG_TRUNCATED, 0)
+        out["flags"] |= FLAG_DOUBTFUL if self.doubtful else 0
         for name in ("score", "class_id", "track_id"):
             out[name] = rows[name]
         kept = sigma <= self._max_sigma_m
@@ -221,17 +241,6 @@ class BoxProjector:
         if self._stamp_ns is not None and stamp_ns <= self._stamp_ns:
             raise TableError(
                 "tracked boxes", f"stamp {stamp_ns} ns after {self._stamp_ns} ns", "a later stamp"
-            )
-
-    def _check_image_size(self) -> None:
-        points = self.homography.points
-        outside = (points.pixel < -self._border) | (points.pixel > self._size_px + self._border)
-        if outside.any():
-            k = int(np.argmax(outside.any(axis=1)))
-            raise CalibrationError(
-                f"{points.place}, line {points.line_number[k]}",
-                f"pixel ({points.pixel[k, 0]:g}, {points.pixel[k, 1]:g})",
-                f"a pixel of the {self.image_size[0]}x{self.image_size[1]} image",
             )
 
 

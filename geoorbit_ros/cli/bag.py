@@ -14,6 +14,7 @@ from geoorbit_ros.cli.inputs import (
     StrictOption,
     TrackFpsOption,
     read_options,
+    read_plane,
 )
 
 app = typer.Typer(help="Make and inspect bags of tracked boxes (rosbag2).", no_args_is_help=True)
@@ -49,24 +50,21 @@ def from_csv(
 ) -> None:
     """Turn a file of tracked boxes into a bag that `ros2 bag play` and `geoorbit replay` take.
 
-    The calibration is checked, so that a bag comes with control points that fit it; the bag itself
-    holds pixels only.
+    The calibration is only checked: the bag holds pixels.
 
     Example: [bold]geoorbit bag from-csv --tracks tracks.csv --calibration calibration.csv
     --camera-id north --out north_bag[/bold]
     """
     import numpy as np
 
-    from geoorbit_ros.calibration.control_points import read_control_points
-    from geoorbit_ros.calibration.homography import fit_homography
+    from geoorbit_ros.calibration.plausibility import calibration_report
     from geoorbit_ros.cli.console import format_size, print_remarks, status
     from geoorbit_ros.core.errors import CalibrationError
     from geoorbit_ros.storage.track_bag import describe_bag, write_track_bag
     from geoorbit_ros.storage.tracks.reader import read_tracks
 
     with status("reading"):
-        points = read_control_points(calibration)
-        plane = fit_homography(points)
+        plane = read_plane(calibration, strict=strict)
         frames, remarks = read_tracks(tracks, read_options(fps, columns, classes, strict))
         foot = frames.rows["y"] + frames.rows["height"] / 2
         on_road = plane.visible(np.column_stack((frames.rows["x"], foot)))
@@ -78,7 +76,7 @@ def from_csv(
         )
     with status("writing"):
         write_track_bag(out, camera_id, frames, storage.value)
-    print_remarks(remarks)
+    print_remarks(remarks, calibration_report(plane))
     info = describe_bag(out)
     typer.echo(
         f"{out}: /{camera_id}/tracks_px, {info.messages} messages, {len(frames.rows)} boxes, "

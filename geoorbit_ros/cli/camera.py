@@ -13,6 +13,8 @@ from geoorbit_ros.cli.inputs import (
     ModelOption,
     PasswordFileOption,
     SourceArgument,
+    StrictPointsOption,
+    load_calibration,
 )
 
 if TYPE_CHECKING:
@@ -45,12 +47,12 @@ def add(
     replace: Annotated[
         bool, typer.Option("--replace", help="Put it in the place of the camera with this id.")
     ] = False,
+    strict: StrictPointsOption = False,
 ) -> None:
     """Check a camera's calibration, watch it for a minute, and add it to a fleet file.
 
     Draws the control points with their errors into an image, says how far the camera can see,
-    finds lanes, and says how many more vehicles each needs. The fleet file is changed last, when
-    all of it has worked.
+    finds lanes, and says how many more vehicles each needs. The fleet file is changed last.
 
     Example: [bold]geoorbit camera add north.mp4 --calibration north.csv --camera-id north
     --fleet fleet.yaml --out north_check[/bold]
@@ -58,7 +60,6 @@ def add(
     from geoorbit_ros.cli.camera_run import REPORT, CameraJob
     from geoorbit_ros.cli.console import as_typed, console, print_lanes, print_remarks, say
     from geoorbit_ros.cli.images import ImageOptions, first_image
-    from geoorbit_ros.cli.inputs import load_calibration
     from geoorbit_ros.cli.resume import prepared_run
     from geoorbit_ros.detection.detector import DetectorSettings
     from geoorbit_ros.fleet.fleet_file import add_camera, check_new_camera
@@ -69,7 +70,7 @@ def add(
     if not replace:
         check_new_folder(out)
     check_new_camera(fleet, camera_id, replace=replace)
-    plane = load_calibration(calibration, datum)
+    plane = load_calibration(calibration, datum, strict=strict)
     watched = ImageOptions(None, duration, "", LeftOut(), password_file)
     with (
         prepared_run(source, out, watched, model, DetectorSettings(), resume=None) as (images, run),
@@ -84,6 +85,7 @@ def add(
         add_camera(fleet, entry, replace=replace)
     print_remarks(images.remarks)
     print_lanes(job.lane_map, f"Lanes of {camera_id} after {duration:g} s")
+    print_remarks(*job.reports)
     say(f"Look at {out / CALIBRATION_IMAGE} and {out / REPORT}.")
     run_it = as_typed(f"up {fleet}")
     console.print(f" Camera {camera_id} is in {fleet}. To run it: {run_it}", soft_wrap=True)

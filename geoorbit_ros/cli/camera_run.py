@@ -15,7 +15,7 @@ from geoorbit_ros.calibration.box_projector import BoxProjector
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.calibration.homography import Homography
 from geoorbit_ros.cli.images import DEFAULT_FPS, check_images, shown_images
-from geoorbit_ros.cli.inputs import DEFAULT_ESTIMATOR, CameraInput
+from geoorbit_ros.cli.inputs import DEFAULT_ESTIMATOR, CameraInput, find_lanes
 from geoorbit_ros.cli.report import describe_method, save_report
 from geoorbit_ros.cli.resume import DetectionRun
 from geoorbit_ros.core.errors import NoTrafficError
@@ -25,7 +25,7 @@ from geoorbit_ros.core.tables import FLAG_PREDICTED, PIXEL_TRACK_DTYPE, Frames
 from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.lanes.geojson import write_lanes
 from geoorbit_ros.lanes.mapping.mapper import DEFAULT_UPDATE_PERIOD_S, LaneMapper
-from geoorbit_ros.lanes.pipeline import StampedRows, map_lanes, note_other_classes
+from geoorbit_ros.lanes.pipeline import StampedRows, note_other_classes
 from geoorbit_ros.report.image_overlay import ImageOverlay
 from geoorbit_ros.report.recording import Recording
 from geoorbit_ros.storage.frames.source import FrameSource, StampedImage
@@ -79,6 +79,7 @@ class CameraRun:
         detection: Finds vehicles.
         mapper: Is given the ground tracks by the caller; its latest map is drawn into the video.
         image_size: (width, height) of the images, (0, 0) before the first.
+        projector: From boxes to the road; None before the first image.
         seen: Stamp, detections and tracks of every image so far.
     """
 
@@ -86,6 +87,7 @@ class CameraRun:
     detection: DetectionRun
     mapper: WatchedMapper
     image_size: tuple[int, int] = (0, 0)
+    projector: BoxProjector | None = None
     seen: list[tuple[int, NDArray[np.void], NDArray[np.void]]] = field(default_factory=list)
 
     def ground_tracks(
@@ -106,7 +108,7 @@ class CameraRun:
         if first is None:
             raise NoTrafficError("images", "none", "at least one")
         width, height = self.image_size = (first[1].shape[1], first[1].shape[0])
-        projector = BoxProjector(self.homography, self.image_size)
+        self.projector = projector = BoxProjector(self.homography, self.image_size)
         parameters = TrackerParameters(image_width=width, image_height=height)
         tracker = make_tracker(parameters=parameters)
         with ExitStack() as files:
@@ -153,6 +155,7 @@ class CameraJob:
         update_period_s: Data time between two updates of the map.
         run: The images on their way to tracks; made with the job.
         lane_map: The lanes, once they have been found.
+        reports: What is to be said about the inputs, once the files have been written.
     """
 
     camera_id: str
@@ -164,6 +167,7 @@ class CameraJob:
     update_period_s: float = DEFAULT_UPDATE_PERIOD_S
     run: CameraRun = field(init=False)
     lane_map: LaneMap = field(init=False)
+    reports: tuple[InputReport, ...] = ()
     _recording: Recording = field(init=False, default_factory=Recording)
 
     def __post_init__(self) -> None:
@@ -185,7 +189,8 @@ class CameraJob:
         """
         shown = shown_images(images, duration_s, "finding vehicles and lanes")
         ground = self.run.ground_tracks(shown, video, images.fps or DEFAULT_FPS)
-        self.lane_map = map_lanes(self._recording.tee(ground), self.run.mapper, images.name)
+        tracks = self._recording.tee(ground)
+        self.lane_map = find_lanes(tracks, self.run.mapper, images.name, lambda: self.run.projector)
         check_images(images, self.detection.left_out, len(self.run.seen))
 
     def write(self, folder: Path, images: FrameSource) -> None:
@@ -203,16 +208,12 @@ class CameraJob:
         note_other_classes(remarks, frames)
         for sentence in images.remarks.sentences():
             remarks.note(Treatment.NOTED, sentence)
+        projector = self.run.projector
+        assert projector is not None, "lanes have been found"
         camera = CameraInput(
-            self.camera_id,
-            tracks,
-            self.calibration,
-            frames,
-            self.homography,
-            self.datum,
-            self.run.image_size,
-            remarks,
+            self.camera_id, tracks, self.calibration, frames, self.datum, remarks, projector
         )
+        self.reports = camera.reports()
         method = describe_method(self.estimator, self.update_period_s)
         method = f"{self.detection.detector.name}; {method}"
         save_report(folder / REPORT, camera, self.lane_map, self._recording, method)

@@ -136,7 +136,7 @@ _STYLE = {"confirmed": "green", "tentative": "yellow"}
 def print_lanes(lane_map: LaneMap, title: str = "Lanes") -> None:
     """Print one row per lane, from left to right, and what traffic tentative lanes still need."""
     from geoorbit_ros.core.lane_order import lane_numbers, left_to_right
-    from geoorbit_ros.report.text import compass, missing_sentence, number, summary_sentence
+    from geoorbit_ros.report.text import compass, number, summary_sentence, tentative_sentences
 
     table = make_table(
         title,
@@ -156,16 +156,21 @@ def print_lanes(lane_map: LaneMap, title: str = "Lanes") -> None:
             number(lane.sigma_m),
         )
     console.print(table)
-    for lane in lane_map.lanes:
-        if lane.status == "tentative":
-            say(missing_sentence(lane))
+    for sentence in tentative_sentences(lane_map):
+        say(sentence)
     say(summary_sentence(lane_map.lanes))
 
 
-def print_remarks(report: InputReport) -> None:
-    """Say what was done with the rows of a file, a sentence per kind of fault."""
-    for sentence in report.sentences():
-        say(f"{Path(report.place).name}: {sentence}")
+def print_remarks(*reports: InputReport) -> None:
+    """Say what was done with the rows of files, a sentence per kind of fault; doubts in red."""
+    from rich.markup import escape
+
+    from geoorbit_ros.core.input_report import Treatment
+
+    for report in reports:
+        for remark, sentence in zip(report.remarks, report.sentences(), strict=True):
+            text = escape(f"{Path(report.place).name}: {sentence}")
+            say(f"[red]Doubtful.[/] {text}" if remark.treatment is Treatment.DOUBTFUL else text)
 
 
 def print_score(score: LaneScore) -> None:

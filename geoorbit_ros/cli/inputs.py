@@ -8,16 +8,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from geoorbit_ros.core.errors import InputFileError, ParameterError
+from geoorbit_ros.core.errors import NoTrafficError, ParameterError
 from geoorbit_ros.core.plugins import expected, registered
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
     from geoorbit_ros.calibration.box_projector import BoxProjector
     from geoorbit_ros.calibration.datum import Datum
     from geoorbit_ros.calibration.homography import Homography
     from geoorbit_ros.core.input_report import InputReport
+    from geoorbit_ros.core.lanes import LaneMap
     from geoorbit_ros.core.tables import Frames
     from geoorbit_ros.lanes.mapping.mapper import LaneMapper
     from geoorbit_ros.lanes.pipeline import StampedRows
@@ -56,7 +57,11 @@ ClassesOption = Annotated[
     ),
 ]
 StrictOption = Annotated[
-    bool, typer.Option("--strict", help="Refuse a track file or a bag that has any fault.")
+    bool,
+    typer.Option("--strict", help="Refuse tracks, a bag or control points that have any fault."),
+]
+StrictPointsOption = Annotated[
+    bool, typer.Option("--strict", help="Refuse control points that have any fault.")
 ]
 BagOption = Annotated[
     Path | None, typer.Option("--bag", help="Tracked boxes: a rosbag2 bag with a tracks_px topic.")
@@ -72,7 +77,7 @@ FpsOption = Annotated[
     ),
 ]
 StrictImagesOption = Annotated[
-    bool, typer.Option("--strict", help="End at the first image that can't be used.")
+    bool, typer.Option("--strict", help="End at the first fault of images or control points.")
 ]
 PasswordFileOption = Annotated[
     Path | None,
@@ -176,10 +181,9 @@ class CameraInput:
         source: The CSV file or bag.
         calibration: The control point file.
         frames: Tracked boxes, `PIXEL_TRACK_DTYPE`.
-        homography: The road plane.
         datum: Origin of the map frame.
-        image_size: (width, height) in pixels.
         input_report: What was done with the rows of the track file or bag.
+        projector: From boxes to the road; it has seen no frame before `ground_tracks`.
         bag_topic: The bag's topic with the boxes; empty for a track file.
     """
 
@@ -187,25 +191,73 @@ class CameraInput:
     source: Path
     calibration: Path
     frames: Frames
-    homography: Homography
     datum: Datum
-    image_size: tuple[int, int]
     input_report: InputReport
+    projector: BoxProjector
     bag_topic: str = ""
 
-    def projector(self) -> BoxProjector:
-        """A fresh projector from boxes to the road."""
-        from geoorbit_ros.calibration.box_projector import BoxProjector
+    @property
+    def homography(self) -> Homography:
+        """The road plane."""
+        return self.projector.homography
 
-        return BoxProjector(self.homography, self.image_size)
+    @property
+    def image_size(self) -> tuple[int, int]:
+        """(width, height) in pixels."""
+        return self.projector.image_size
+
+    def reports(self) -> tuple[InputReport, ...]:
+        """What was done with both files, and what the traffic says against them."""
+        return (self.input_report, *self.projector.reports(str(self.source)))
+
+    def find_lanes(self, tracks: Iterable[StampedRows], mapper: LaneMapper) -> LaneMap:
+        """See `find_lanes`."""
+        return find_lanes(tracks, mapper, str(self.source), lambda: self.projector)
 
     def ground_tracks(self) -> Iterator[StampedRows]:
         """Ground tracks frame by frame, under a progress bar."""
         from geoorbit_ros.cli.console import track
         from geoorbit_ros.lanes.pipeline import project_frames
 
-        tracks = project_frames(self.frames, self.projector())
+        tracks = project_frames(self.frames, self.projector)
         return track(tracks, "finding lanes", total=len(self.frames))
+
+
+def find_lanes(
+    tracks: Iterable[StampedRows],
+    mapper: LaneMapper,
+    place: str,
+    projector: Callable[[], BoxProjector | None],
+) -> LaneMap:
+    """The lanes of all tracks, none of them confirmed where the traffic speaks against the inputs.
+
+    Args:
+        tracks: Frames of `TRACK_DTYPE` rows in time order.
+        mapper: A mapper that has seen no frame yet.
+        place: Where the tracks came from, for the error.
+        projector: What made the rows, asked for when all have been seen; None: there were none.
+
+    Raises:
+        NoTrafficError: No lane can be seen; it says what speaks against the inputs.
+    """
+    from geoorbit_ros.lanes.confidence import unconfirmed
+    from geoorbit_ros.lanes.pipeline import map_lanes
+
+    try:
+        lane_map = map_lanes(tracks, mapper, place)
+    except NoTrafficError as error:
+        if (made := projector()) is None:
+            raise
+        made.traffic.judge()
+        doubts = [text for report in made.reports(place) for text in report.sentences(doubts=True)]
+        if not doubts:
+            raise
+        found = f"{error.found} ({'; '.join(doubts)})"
+        raise NoTrafficError(error.place, found, error.expected) from None
+    made = projector()
+    assert made is not None
+    made.traffic.judge()
+    return unconfirmed(lane_map) if made.doubtful else lane_map
 
 
 def load_camera(
@@ -233,24 +285,18 @@ def load_camera(
     Raises:
         GeoOrbitError: An option, a file or a value in it is wrong.
     """
+    from geoorbit_ros.calibration.box_projector import BoxProjector
     from geoorbit_ros.cli.console import status
     from geoorbit_ros.lanes.pipeline import note_other_classes
+    from geoorbit_ros.storage.tracks.cleaning import ReadOptions
 
     size = parse_image_size(image_size)
-    if (tracks is None) == (bag is None):
-        found = "neither" if tracks is None else "both"
-        raise ParameterError("options --tracks and --bag", found, "exactly one of them")
-    source = tracks or bag
-    assert source is not None
-    for file in (source, calibration):
-        if out.exists() and file.exists() and out.samefile(file):
-            raise ParameterError("option --out", f"{out}, an input", "another path")
-    homography, origin = load_calibration(calibration, datum)
+    source = _source(tracks, bag, calibration, out)
+    options = options or ReadOptions()
+    homography, origin = load_calibration(calibration, datum, size, strict=options.strict)
     topic = ""
     with status(f"reading {source}"):
-        from geoorbit_ros.storage.tracks.cleaning import ReadOptions
-
-        sized = replace(options or ReadOptions(), image_size=size)
+        sized = replace(options, image_size=size)
         if tracks:
             from geoorbit_ros.storage.tracks.reader import read_tracks
 
@@ -263,9 +309,24 @@ def load_camera(
             name, topic = content.camera_id or "camera", content.topic
             frames, report = content.frames, content.report
     note_other_classes(report, frames)
+    projector = BoxProjector(homography, size)
+    projector.doubted = report.doubtful
     return CameraInput(
-        camera_id or name, source, calibration, frames, homography, origin, size, report, topic
+        camera_id or name, source, calibration, frames, origin, report, projector, topic
     )
+
+
+def _source(tracks: Path | None, bag: Path | None, calibration: Path, out: Path) -> Path:
+    """The one of tracks and bag that is given; `out` must be no input."""
+    if (tracks is None) == (bag is None):
+        found = "neither" if tracks is None else "both"
+        raise ParameterError("options --tracks and --bag", found, "exactly one of them")
+    source = tracks or bag
+    assert source is not None
+    for file in (source, calibration):
+        if out.exists() and file.exists() and out.samefile(file):
+            raise ParameterError("option --out", f"{out}, an input", "another path")
+    return source
 
 
 def read_options(fps: float | None, columns: str | None, classes: str, strict: bool) -> ReadOptions:
@@ -283,20 +344,45 @@ def read_options(fps: float | None, columns: str | None, classes: str, strict: b
     return ReadOptions(fps=fps, columns=named, classes=class_table(classes), strict=strict)
 
 
-def load_calibration(calibration: Path, datum: str | None) -> tuple[Homography, Datum]:
+def load_calibration(
+    calibration: Path,
+    datum: str | None,
+    image_size: tuple[int, int] | None = None,
+    *,
+    strict: bool = False,
+) -> tuple[Homography, Datum]:
     """The road plane of a file of control points, and the origin of its map frame.
+
+    Args:
+        calibration: The file.
+        datum: Option `--datum`.
+        image_size: (width, height) in pixels, for control points in shares of the image.
+        strict: Whether any fault refuses the file.
 
     Raises:
         GeoOrbitError: The file, a value in it or the datum is wrong.
     """
-    from geoorbit_ros.calibration.control_points import read_control_points
-    from geoorbit_ros.calibration.homography import fit_homography
+    homography = read_plane(calibration, parse_datum(datum), image_size, strict=strict)
+    return homography, homography.points.need_datum("--datum LAT,LON: where x_m = y_m = 0 is")
 
-    points = read_control_points(calibration, parse_datum(datum))
-    if points.datum is None:
-        expected = "--datum LAT,LON: where x_m = y_m = 0 is"
-        raise InputFileError(str(calibration), "control points in metres", expected)
-    return fit_homography(points), points.datum
+
+def read_plane(
+    calibration: Path,
+    datum: Datum | None = None,
+    image_size: tuple[int, int] | None = None,
+    *,
+    strict: bool = False,
+) -> Homography:
+    """The road plane of a file of control points; see `load_calibration`."""
+    from geoorbit_ros.calibration.control_point_file import read_control_points
+    from geoorbit_ros.calibration.homography import fit_homography
+    from geoorbit_ros.calibration.plausibility import calibration_report
+
+    points = read_control_points(calibration, datum, image_size=image_size, strict=strict)
+    homography = fit_homography(points)
+    if strict:
+        calibration_report(homography).check(strict, "control points that agree")
+    return homography
 
 
 def make_mapper(estimator: str, update_period_s: float) -> LaneMapper:

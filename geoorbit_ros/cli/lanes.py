@@ -54,7 +54,6 @@ def lanes(
     """
     from geoorbit_ros.cli.console import console, print_lanes, print_remarks
     from geoorbit_ros.lanes.geojson import write_lanes
-    from geoorbit_ros.lanes.pipeline import map_lanes
     from geoorbit_ros.report.recording import Recording
     from geoorbit_ros.storage.atomic import atomic_output
 
@@ -63,10 +62,8 @@ def lanes(
     recording = Recording()
     with atomic_output(out) as path:
         ground = camera.ground_tracks()
-        lane_map = map_lanes(
-            recording.tee(ground) if report else ground,
-            make_mapper(estimator, update_period_s),
-            str(camera.source),
+        lane_map = camera.find_lanes(
+            recording.tee(ground) if report else ground, make_mapper(estimator, update_period_s)
         )
         write_lanes(path, lane_map, camera.datum, camera_id=camera.camera_id, estimator=estimator)
     if report:
@@ -75,5 +72,5 @@ def lanes(
         method = describe_method(estimator, update_period_s)
         save_report(report, camera, lane_map, recording, method)
     print_lanes(lane_map, f"Lanes of {camera.camera_id}")
-    print_remarks(camera.input_report)
+    print_remarks(*camera.reports())
     console.print(f" Wrote {out}" + (f" and {report}" if report else ""), soft_wrap=True)

@@ -77,7 +77,7 @@ def process(
 
     if not resume:
         check_new_folder(out)
-    homography, origin = load_calibration(calibration, datum)
+    homography, origin = load_calibration(calibration, datum, strict=strict)
     settings = DetectorSettings(min_score, class_names=parse_names(class_names))
     name = camera_id or _name(source)
     options = ImageOptions(fps, duration, start_time, None if strict else LeftOut(), password_file)
@@ -89,7 +89,7 @@ def process(
             _write_boxes(job, folder)
             job.write(folder, images)
         print_lanes(job.lane_map, f"Lanes of {name}")
-        print_remarks(images.remarks)
+        print_remarks(images.remarks, *job.reports)
         console.print(f" {len(run.numbers)} images; wrote {out}", soft_wrap=True)
         early.finish()
 

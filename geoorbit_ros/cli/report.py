@@ -65,7 +65,6 @@ def report(
     """
     from geoorbit_ros.cli.console import console, print_remarks
     from geoorbit_ros.lanes.geojson import read_lane_file, read_lanes
-    from geoorbit_ros.lanes.pipeline import map_lanes
     from geoorbit_ros.report.recording import Recording
     from geoorbit_ros.report.text import summary_sentence
 
@@ -81,10 +80,10 @@ def report(
             pass
         method = f"{file.estimator or 'unknown'}, read from {lanes.name}"
     else:
-        lane_map = map_lanes(ground, make_mapper(estimator, update_period_s), str(camera.source))
+        lane_map = camera.find_lanes(ground, make_mapper(estimator, update_period_s))
         method = describe_method(estimator, update_period_s)
     save_report(out, camera, lane_map, recording, method, true)
-    print_remarks(camera.input_report)
+    print_remarks(*camera.reports())
     console.print(f"{summary_sentence(lane_map.lanes)} Wrote {out}", soft_wrap=True)
 
 
@@ -108,10 +107,16 @@ def save_report(
         datum=camera.datum,
         image_size=camera.image_size,
         method=method,
-        remarks=tuple(camera.input_report.sentences()),
     )
     content = ReportInput(
-        camera.camera_id, lane_map, recording, camera.homography, camera.image_size, made, truth
+        camera.camera_id,
+        lane_map,
+        recording,
+        camera.homography,
+        camera.image_size,
+        made,
+        truth,
+        camera.reports(),
     )
     with atomic_output(out) as path:
         write_report(path, content)

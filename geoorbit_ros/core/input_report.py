@@ -98,10 +98,11 @@ class InputReport:
         """Whether something speaks against trusting what is made of this file."""
         return any(r.treatment is Treatment.DOUBTFUL for r in self.remarks)
 
-    def sentences(self) -> Iterator[str]:
-        """One sentence per remark."""
+    def sentences(self, *, doubts: bool = False) -> Iterator[str]:
+        """One sentence per remark, or only per doubt."""
         for remark in self.remarks:
-            yield remark.sentence(self.total, self.things)
+            if not doubts or remark.treatment is Treatment.DOUBTFUL:
+                yield remark.sentence(self.total, self.things)
 
     def check(self, strict: bool, expected: str) -> None:
         """Refuse a file that is mostly bad, or, when `strict`, one with any fault.

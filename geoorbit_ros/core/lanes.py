@@ -121,6 +121,8 @@ class LaneMap:
         visible_m: (V, 2) polygon on the ground inside which a lane can be told from its neighbour;
             empty when unknown.
         segments: Trajectory segments that the map was derived from; 0 when none or unknown.
+        doubtful: Something speaks against the calibration or the boxes, so that no lane is
+            confirmed, however much traffic there is.
     """
 
     stamp_ns: int
@@ -128,6 +130,7 @@ class LaneMap:
     cross_sections: tuple[CrossSection, ...] = ()
     visible_m: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 2)))
     segments: int = 0
+    doubtful: bool = False
 
     @property
     def confirmed(self) -> tuple[Lane, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from geoorbit_ros.core.lanes import Lane, LaneEvidence
+from geoorbit_ros.core.lanes import Lane, LaneEvidence, LaneMap
 
 VEHICLE_SCALE = 2.2
 """Confidence by traffic alone is 1 - exp(-vehicles / VEHICLE_SCALE): 0.37 for one, 0.93 for six.
@@ -55,6 +55,12 @@ def keep_confirmed(lane: Lane, before: Lane | None) -> Lane:
     if lane.status == "confirmed" or not was_confirmed or lane.confidence < KEEP_CONFIRMED:
         return lane
     return replace(lane, status="confirmed", vehicles_missing=0)
+
+
+def unconfirmed(lane_map: LaneMap) -> LaneMap:
+    """The map of doubtful input: its lanes are tentative, and more traffic doesn't change that."""
+    lanes = tuple(replace(lane, status="tentative", vehicles_missing=0) for lane in lane_map.lanes)
+    return replace(lane_map, lanes=lanes, doubtful=True)
 
 
 def count_vehicles(lane: Lane, vehicles: int) -> Lane:

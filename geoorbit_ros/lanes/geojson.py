@@ -71,6 +71,7 @@ def lanes_to_geojson(
             "camera_id": camera_id,
             "estimator": estimator,
             "stamp_ns": lane_map.stamp_ns,
+            **({"doubtful": True} if lane_map.doubtful else {}),
             "datum": {"latitude": datum.latitude_deg, "longitude": datum.longitude_deg},
             "visible": _polygon(lane_map.visible_m, datum),
             "cross_sections": [

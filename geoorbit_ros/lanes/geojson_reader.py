@@ -151,7 +151,9 @@ def map_of(collection: Collection, datum: Datum, lanes: tuple[Lane, ...]) -> Lan
         if about.get("visible"):
             ring = np.asarray(about["visible"]["coordinates"][0], dtype=np.float64)
             visible = datum.to_local(ring[:-1, 1], ring[:-1, 0])
-        return LaneMap(int(about.get("stamp_ns", 0)), lanes, sections, visible)
+        doubtful = about.get("doubtful") is True
+        stamp_ns = int(about.get("stamp_ns", 0))
+        return LaneMap(stamp_ns, lanes, sections, visible, doubtful=doubtful)
     except (TypeError, KeyError, ValueError, IndexError) as error:
         place = f"{collection.path}, 'geoorbit'"
         raise InputFileError(place, error, "the members docs/formats.md lists") from error

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.box_projector import BoxProjector
-from geoorbit_ros.calibration.control_points import read_control_points
+from geoorbit_ros.calibration.control_point_file import read_control_points
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.core.errors import InputFileError
 from geoorbit_ros.core.lanes import Lane
@@ -53,14 +53,12 @@ def recording_task(recording: Recording, root: Path) -> CameraTask:
         GeoOrbitError: A file is missing or wrong.
     """
     control_points = read_control_points(root / recording.calibration)
-    if control_points.datum is None:
-        expected = "latitudes and longitudes, which tie it to the network"
-        raise InputFileError(str(root / recording.calibration), "metres", expected)
+    datum = control_points.need_datum("latitudes and longitudes, which tie it to the network")
     homography = fit_homography(control_points)
     frames = read_track_csv(root / recording.tracks, recording.image_size)
     projector = BoxProjector(homography, recording.image_size)
     tracks = thin(project_frames(frames, projector))
-    network = load_network(root / recording.network, control_points.datum)
+    network = load_network(root / recording.network, datum)
     lanes = reference_lanes(network, view_polygon(homography, recording.image_size))
     counted = count_vehicles(lanes, tracks)
     features = scene_features(tracks, recording.longitude_deg)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import NavSatFix, PointCloud2
 
 from geoorbit_ros.calibration.box_projector import BoxProjector
-from geoorbit_ros.calibration.control_points import read_control_points
+from geoorbit_ros.calibration.control_point_file import read_control_points
 from geoorbit_ros.calibration.datum import given_datum
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.conversions import datum_to_fix, encode_pose_array, encode_table, vehicle_poses
-from geoorbit_ros.core.errors import InputFileError
 from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.nodes.support.process import run_node
@@ -61,27 +60,30 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
         p = self.p
         place = f"node '{self.get_fully_qualified_name()}'"
         datum = given_datum(p.datum_latitude_deg, p.datum_longitude_deg, place)
-        points = read_control_points(p.calibration_file, datum)
-        if points.datum is None:
-            expected = "parameters datum_latitude_deg and datum_longitude_deg: where (0, 0) is"
-            raise InputFileError(p.calibration_file, "control points in metres", expected)
+        size = (p.image_width, p.image_height)
+        points = read_control_points(p.calibration_file, datum, image_size=size)
+        expected = "parameters datum_latitude_deg and datum_longitude_deg: where (0, 0) is"
+        origin = points.need_datum(expected)
         self._homography = fit_homography(points, p.pixel_sigma, p.ground_sigma_m)
         self._projector = BoxProjector(
             self._homography,
-            (p.image_width, p.image_height),
+            size,
             reject_truncated=p.reject_truncated,
             max_sigma_m=p.max_sigma_m,
         )
         for sentence in self._homography.describe_residuals():
             self.get_logger().info(sentence)
+        for sentence in self._projector.calibration_report.sentences():
+            self.get_logger().warning(f"{points.place}: {sentence}")
         if self._projector.pose_error is not None:
             self.get_logger().warning(str(self._projector.pose_error))
+        self.diagnostics.add_check(self._doubt)
 
         qos = stream_qos(p.reliability, p.queue_depth)
         self.tracks = self.create_publisher(PointCloud2, "tracks", qos)
         self._vehicles = self.create_publisher(PoseArray, "vehicles", qos)
         self._fix = self.create_publisher(NavSatFix, "datum", LATCHED)
-        self._fix.publish(datum_to_fix(points.datum, p.frame_id))
+        self._fix.publish(datum_to_fix(origin, p.frame_id))
         self._on_road = 0
         TableStream(self, "tracks_px", PIXEL_TRACK_DTYPE, p, self._on_frame, self._projector.reset)
 
@@ -95,7 +97,23 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
         }
         counts = {f"boxes_{key}": n for key, n in asdict(self._projector.counts).items()}
         readers = self.tracks.get_subscription_count()
-        return {"vehicles": self._on_road, "tracks_subscribers": readers, **counts, **errors}
+        remarks = " ".join(self._sentences())
+        return {
+            "vehicles": self._on_road,
+            "tracks_subscribers": readers,
+            **counts,
+            "remarks": remarks,
+            **errors,
+        }
+
+    def _sentences(self, *, doubts: bool = False) -> Iterator[str]:
+        """What was done with the control points, and what speaks against the inputs."""
+        for report in self._projector.reports("tracks_px"):
+            yield from (f"{report.place}: {text}" for text in report.sentences(doubts=doubts))
+
+    def _doubt(self) -> str | None:
+        """Lanes are not confirmed while this says something."""
+        return "; ".join(self._sentences(doubts=True)) or None
 
     def _on_frame(self, stamp_ns: int, rows: NDArray[np.void]) -> None:
         ground = self._projector.project(stamp_ns, rows)

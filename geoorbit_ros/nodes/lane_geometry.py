@@ -100,6 +100,7 @@ class LaneGeometryNode(GeoOrbitNode[LaneGeometryParameters]):
         self.create_subscription(NavSatFix, "datum", self._on_datum, LATCHED)
         subscribe_payloads(self, "lane_parameters", LATCHED, self._on_theta)
         self.create_service(Trigger, "~/update", self._on_update)
+        self.diagnostics.add_check(self._doubt)
         self.get_logger().info(f"lanes are estimated by {p.estimator}")
 
     def on_parameters(self, changed: LaneGeometryParameters) -> None:
@@ -121,6 +122,12 @@ class LaneGeometryNode(GeoOrbitNode[LaneGeometryParameters]):
             **{f"theta_{name}": value for name, value in asdict(self.theta).items()},
             "datum": "known" if self.datum else "not received yet",
         }
+
+    def _doubt(self) -> str | None:
+        """Why no lane is confirmed, while the tracks' sender doubts them."""
+        if not self._mapper.doubtful:
+            return None
+        return "no lane is confirmed: homography's diagnostics say what speaks against its inputs"
 
     def _on_frame(self, stamp_ns: int, rows: NDArray[np.void]) -> None:
         self.frames += 1

@@ -12,7 +12,8 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import CompressedImage, PointCloud2
 from std_msgs.msg import String
 
-from geoorbit_ros.calibration.control_points import read_control_points
+from geoorbit_ros.calibration.control_point_file import read_control_points
+from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.conversions import decode_string, decode_table, encode_jpeg
 from geoorbit_ros.core.cdr import stamp_of
@@ -57,9 +58,10 @@ class OverlayNode(GeoOrbitNode[OverlayParameters]):
     def setup(self) -> None:
         """Make the topic, and wait for a viewer."""
         p = self.p
-        points = read_control_points(p.calibration_file, None) if p.calibration_file else None
-        self._datum = points.datum if points else None
-        self._overlay = ImageOverlay(fit_homography(points) if points else None)
+        self._datum: Datum | None = None
+        self._overlay = ImageOverlay(None)
+        if p.calibration_file:
+            self._calibrate(None)
         self._qos = stream_qos(p.reliability, p.queue_depth)
         topic = "image/annotated/compressed"
         self._shown = self.create_publisher(CompressedImage, topic, self._qos)
@@ -71,6 +73,12 @@ class OverlayNode(GeoOrbitNode[OverlayParameters]):
     def diagnostic_values(self) -> Mapping[str, object]:
         """How many viewers there are."""
         return {"viewers": self._shown.get_subscription_count(), "waiting": len(self._images)}
+
+    def _calibrate(self, datum: Datum | None) -> None:
+        """Read the control points; those in metres need the lanes' datum."""
+        points = read_control_points(self.p.calibration_file, datum)
+        self._datum = points.datum
+        self._overlay = ImageOverlay(fit_homography(points))
 
     def _look(self) -> None:
         """Subscribe when the first viewer comes, unsubscribe when the last one goes."""
@@ -95,7 +103,10 @@ class OverlayNode(GeoOrbitNode[OverlayParameters]):
     def _on_lanes(self, cdr: bytes) -> None:
         try:
             place = self.resolve_topic_name("lanes/geojson")
-            self._lanes = parse_lane_file(decode_string(cdr, place), place, self._datum).lane_map
+            found = parse_lane_file(decode_string(cdr, place), place, self._datum)
+            if self._datum is None and self.p.calibration_file:
+                self._calibrate(found.datum)
+            self._lanes = found.lane_map
         except GeoOrbitError as error:
             self.diagnostics.refuse(error)
 

@@ -13,6 +13,7 @@ import numpy as np
 from geoorbit_ros.calibration.camera_pose import recover_pose
 from geoorbit_ros.calibration.homography import Homography
 from geoorbit_ros.core.errors import CalibrationError
+from geoorbit_ros.core.input_report import InputReport, Treatment
 from geoorbit_ros.core.lanes import Lane, LaneMap
 from geoorbit_ros.metrics.score import score_lanes
 from geoorbit_ros.report.recording import Recording
@@ -20,10 +21,10 @@ from geoorbit_ros.report.tables import calibration_table, facts, lane_table, sco
 from geoorbit_ros.report.text import (
     compass,
     count,
-    missing_sentence,
     number,
     score_sentences,
     summary_sentence,
+    tentative_sentences,
 )
 from geoorbit_ros.report.views import image_view, map_view, section_view
 
@@ -46,6 +47,7 @@ class ReportInput:
         image_size: (width, height) in pixels.
         provenance: Names and values: how the map was made.
         truth: True lanes, when known.
+        remarks: What was done with the inputs, and what speaks against them.
     """
 
     camera_id: str
@@ -55,6 +57,7 @@ class ReportInput:
     image_size: tuple[int, int]
     provenance: Sequence[tuple[str, str]]
     truth: Sequence[Lane] | None = None
+    remarks: Sequence[InputReport] = ()
 
 
 def write_report(path: Path, content: ReportInput) -> None:
@@ -67,10 +70,11 @@ def report_html(content: ReportInput) -> str:
     lanes = content.lane_map.lanes
     css = files("geoorbit_ros.report").joinpath("page.css").read_text(encoding="utf-8")
     title = f"Lanes of {content.camera_id}"
-    tentative = [missing_sentence(lane) for lane in lanes if lane.status == "tentative"]
+    tentative = tentative_sentences(content.lane_map)
     parts = [
         f"<header><p class='kicker'>Lane report</p><h1>{escape(title)}</h1>"
         f"<p class='lead'>{escape(summary_sentence(lanes))}</p>{_tiles(content)}</header>",
+        _remarks(content.remarks),
         _section("Lanes", lane_table(lanes) + _list(tentative) + LANE_NOTE),
         _drawings(content),
         _histograms(content),
@@ -90,6 +94,24 @@ def report_html(content: ReportInput) -> str:
         f"<title>{escape(title)}</title><style>{css}</style></head>"
         f"<body><main>{''.join(parts)}</main></body></html>\n"
     )
+
+
+def _remarks(reports: Sequence[InputReport]) -> str:
+    """What was left out, repaired or is doubted; the doubts first. Nothing where all is well."""
+    told = [
+        (remark.treatment is Treatment.DOUBTFUL, f"{Path(report.place).name}: {sentence}")
+        for report in reports
+        for remark, sentence in zip(report.remarks, report.sentences(), strict=True)
+    ]
+    if not told:
+        return ""
+    items = "".join(
+        f"<li class='doubt'><b>Doubtful.</b> {escape(text)}</li>"
+        if doubt
+        else f"<li>{escape(text)}</li>"
+        for doubt, text in sorted(told, key=lambda pair: not pair[0])
+    )
+    return _section("Remarks on the inputs", f"<ul>{items}</ul>")
 
 
 def _tiles(content: ReportInput) -> str:

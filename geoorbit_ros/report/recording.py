@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import platform
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -106,13 +106,11 @@ def provenance(
     datum: Datum,
     image_size: tuple[int, int],
     method: str,
-    remarks: Sequence[str] = (),
 ) -> list[tuple[str, str]]:
     """Names and values for the page: files with their SHA-256, parameters, versions."""
     return [
         ("Tracks", f"{source.name}, {recording.row_count:,} positions"),
         ("Tracks SHA-256", sha256(source)),
-        *(("Remark on the tracks", remark) for remark in remarks),
         ("Control points", calibration.name),
         ("Control points SHA-256", sha256(calibration)),
         ("Data time", f"{recording.first_ns / 1e9:.3f} to {recording.last_ns / 1e9:.3f} s"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from geoorbit_ros.core.lanes import Lane
+from geoorbit_ros.core.lanes import Lane, LaneMap
 from geoorbit_ros.metrics.lane_score import LaneScore
 
 _COMPASS = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
@@ -49,6 +49,16 @@ def missing_sentence(lane: Lane) -> str:
         return f"{seen}: the traffic does not show clearly that it is one lane."
     more = count(lane.vehicles_missing, "more vehicle")
     return f"{seen}: about {more} will confirm it."
+
+
+def tentative_sentences(lane_map: LaneMap) -> list[str]:
+    """Why lanes are not confirmed, and what they still need."""
+    if lane_map.doubtful:
+        return [
+            "No lane is confirmed, as something speaks against the calibration or the boxes: "
+            "see the remarks."
+        ]
+    return [missing_sentence(lane) for lane in lane_map.lanes if lane.status == "tentative"]
 
 
 def score_sentences(score: LaneScore) -> list[str]:

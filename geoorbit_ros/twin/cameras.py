@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.camera_pose import recover_pose
-from geoorbit_ros.calibration.control_points import read_control_points
+from geoorbit_ros.calibration.control_point_file import read_control_points
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.calibration.plane import Homography
-from geoorbit_ros.core.errors import InputFileError, ParameterError
+from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.roadnet.reference_lanes import view_polygon
 from geoorbit_ros.twin.carla.frame import CarlaCamera, camera_pose
 
@@ -71,12 +71,11 @@ def read_views(
         raise ParameterError(f"{place}'calibrations'", found, "one file per camera, in their order")
     views = {}
     for name, file, size in zip(cameras, files, sizes, strict=False):
-        points = read_control_points(file, None)
-        if points.datum is None:
-            raise InputFileError(file, "control points in metres", "latitudes and longitudes")
+        points = read_control_points(file, None, image_size=size)
+        datum = points.need_datum("latitudes and longitudes")
         homography = fit_homography(points)
         polygon = view_polygon(homography, size)
-        views[name] = CameraView(points.datum, polygon, homography, size)
+        views[name] = CameraView(datum, polygon, homography, size)
     return views
 
 
@@ -102,11 +101,10 @@ def read_carla_cameras(
         raise ParameterError(f"{place}'calibrations'", said, "one file per camera, in their order")
     sizes = _sizes(image_sizes, len(cameras), place) if cameras else []
     for name, file, size in zip(cameras, files, sizes, strict=True):
-        points = read_control_points(file, None)
-        if points.datum is None:
-            raise InputFileError(file, "control points in metres", "latitudes and longitudes")
+        points = read_control_points(file, None, image_size=size)
+        datum = points.need_datum("latitudes and longitudes")
         pose = recover_pose(fit_homography(points), size)
-        at = origin.to_local(points.datum.latitude_deg, points.datum.longitude_deg)[0]
+        at = origin.to_local(datum.latitude_deg, datum.longitude_deg)[0]
         found.append(camera_pose(name, pose, size, at))
     return found
 

@@ -13,6 +13,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.calibration.box_projector import BoxProjector
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.mapcheck.alignment import Alignment
 from geoorbit_ros.mapcheck.driven_lanes import DrivenNetwork
@@ -39,12 +40,15 @@ class TrackStream:
         frames: Stamp and `TRACK_DTYPE` rows in time order.
         datum: Origin of the frame that the rows are in.
         alignment: Lays the tracks on the network; None: they are used as they are.
+        projector: What puts the boxes on the road, and says what speaks against them; None where
+            the tracks are already there.
     """
 
     camera: str
     frames: Iterable[tuple[int, NDArray[np.void]]]
     datum: Datum
     alignment: Alignment | None = None
+    projector: BoxProjector | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,10 +12,15 @@ from sensor_msgs.msg import NavSatFix, PointCloud2
 from std_msgs.msg import String
 
 from geoorbit_ros.calibration.box_projector import BoxProjector
-from geoorbit_ros.calibration.control_points import read_control_points
+from geoorbit_ros.calibration.control_point_file import read_control_points
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.core.errors import GeoOrbitError
-from geoorbit_ros.core.tables import DETECTION_DTYPE, PIXEL_TRACK_DTYPE, TRACK_DTYPE
+from geoorbit_ros.core.tables import (
+    DETECTION_DTYPE,
+    FLAG_DOUBTFUL,
+    PIXEL_TRACK_DTYPE,
+    TRACK_DTYPE,
+)
 from geoorbit_ros.nodes.homography import HomographyNode
 from geoorbit_ros.nodes.support.composition import Composition
 from geoorbit_ros.storage.pointcloud2 import encode_table
@@ -147,12 +152,31 @@ def test_diagnostics_name_every_control_point(nodes: Composition, camera: MadeUp
     assert all("px" in status[key] and " m" in status[key] for key in lines)
 
 
+def test_control_points_of_another_image_are_doubted_in_diagnostics_and_in_every_row(
+    nodes: Composition, camera: MadeUpCamera
+) -> None:
+    node = start(nodes, camera, image_width=960, image_height=540)
+    probe = Probe(nodes)
+    tracks = probe.listen_tables("tracks", TRACK_DTYPE)
+    probe.until(lambda: node.tracks.get_subscription_count() == 1, "the node to see the probe")
+    status = probe.status_of("/north/homography")
+    assert status["level"] == "1"
+    assert "the image is 960x540, but the control points reach pixel" in status["message"]
+    assert "the image is 960x540" in status["remarks"]
+    send = probe.table_publisher("tracks_px")
+    for k in range(FRAMES):
+        send(int(camera.frames.stamp_ns[k]), camera.frames.frame(k))
+    probe.until(lambda: len(tracks) == FRAMES, "all frames")
+    rows = np.concatenate([rows for _, _, rows in tracks])
+    assert len(rows)
+    assert (rows["flags"] & FLAG_DOUBTFUL).all()
+
+
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [
         ({"calibration_file": "/nowhere.csv"}, ("/nowhere.csv",)),
         ({"calibration_file": ""}, ("/north/homography", "calibration_file", "not empty")),
-        ({"image_width": 100}, ("calibration.csv", "100x1080")),
         ({"datum_latitude_deg": 43.0}, ("/north/homography", "both latitude and longitude")),
     ],
 )

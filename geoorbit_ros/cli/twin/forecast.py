@@ -14,6 +14,7 @@ from geoorbit_ros.cli.twin.replay import (
     CameraIdsOption,
     NetOption,
     open_streams,
+    print_stream_remarks,
 )
 
 if TYPE_CHECKING:
@@ -82,7 +83,7 @@ def forecast(
         finally:
             run.close()
         _write(folder, start, network, forecasts)
-    _print(forecasts)
+    _print(forecasts, streams)
     say(_seen(demand))
     _say_what_gets_through(forecasts)
     console.print(f" Wrote {out}", soft_wrap=True)
@@ -150,7 +151,7 @@ def _seen(demand: Demand) -> str:
     return f"Seen in {demand.time_s:.0f} s, vehicles per hour: {flows}."
 
 
-def _print(forecasts: list[Forecast]) -> None:
+def _print(forecasts: list[Forecast], streams: list[TrackStream]) -> None:
     from geoorbit_ros.cli.console import console, make_table
 
     columns = "".join(f"|>{name}" for name in ("km/h", "veh/h", "veh/km", "s", "queue m", "max m"))
@@ -167,3 +168,4 @@ def _print(forecasts: list[Forecast]) -> None:
                 f"{lane.queue_m_max:.0f}",
             )
         console.print(table)
+    print_stream_remarks(streams)

@@ -93,7 +93,7 @@ def replay(
         said += save_all_side_by_side(
             folder, network, run.busiest.step, streams, bags, calibration, size, video
         )
-    _print_score(run.score)
+    _print_score(run.score, streams)
     for sentence in (*said, *run.score.reserved.sentences()):
         say(sentence)
     console.print(f" Wrote {out}", soft_wrap=True)
@@ -202,7 +202,7 @@ def open_streams(
         GeoOrbitError: A bag or a calibration can't be used, or not one calibration per bag.
     """
     from geoorbit_ros.calibration.box_projector import BoxProjector
-    from geoorbit_ros.calibration.control_points import read_control_points
+    from geoorbit_ros.calibration.control_point_file import read_control_points
     from geoorbit_ros.calibration.homography import fit_homography
     from geoorbit_ros.cli.console import print_remarks, status, track
     from geoorbit_ros.cli.inputs import parse_datum, parse_image_size
@@ -222,10 +222,8 @@ def open_streams(
     streams: list[TrackStream] = []
     asked: list[str | None] = [*camera_ids] if camera_ids else [None] * len(bags)
     for bag, file, camera_id in zip(bags, calibrations, asked, strict=True):
-        points = read_control_points(file, origin)
-        if points.datum is None:
-            expected = "--datum LAT,LON: where x_m = y_m = 0 is"
-            raise InputFileError(str(file), "control points in metres", expected)
+        points = read_control_points(file, origin, image_size=size)
+        place = points.need_datum("--datum LAT,LON: where x_m = y_m = 0 is")
         with status(f"reading {bag}"):
             content = read_track_bag(bag, camera_id, ReadOptions(size))
         print_remarks(content.report)
@@ -237,8 +235,17 @@ def open_streams(
         frames = project_frames(content.frames, projector)
         if not streams:
             frames = track(frames, "driving the twin", total=len(content.frames))
-        streams.append(TrackStream(name, frames, points.datum))
+        streams.append(TrackStream(name, frames, place, projector=projector))
     return streams
+
+
+def print_stream_remarks(streams: list[TrackStream]) -> None:
+    """Say what was done with each camera's inputs, and what speaks against them."""
+    from geoorbit_ros.cli.console import print_remarks
+
+    for stream in streams:
+        if stream.projector is not None:
+            print_remarks(*stream.projector.reports(stream.camera))
 
 
 def _check_traffic(score: ReplayScore, place: str) -> None:
@@ -249,7 +256,7 @@ def _check_traffic(score: ReplayScore, place: str) -> None:
         raise NoTrafficError(place, found, "a network that covers what the camera sees")
 
 
-def _print_score(score: ReplayScore) -> None:
+def _print_score(score: ReplayScore, streams: list[TrackStream]) -> None:
     from geoorbit_ros.cli.console import console, make_table, say
 
     health, events = score.health, score.events
@@ -274,6 +281,7 @@ def _print_score(score: ReplayScore) -> None:
         f"A step took {health.step_ms_median:.1f} ms (99 %: {health.step_ms_p99:.1f} ms): "
         f"{health.steps_per_s:.0f} steps per second."
     )
+    print_stream_remarks(streams)
 
 
 def routes(
@@ -321,4 +329,5 @@ def routes(
         f"{count_of(counts.written, 'vehicle')} in the routes; left out: {counts.too_short} seen "
         f"for less than 20 m, {counts.no_route} on edges without a route between them."
     )
+    print_stream_remarks(streams)
     console.print(f" Wrote {out}", soft_wrap=True)

@@ -92,7 +92,7 @@ def save_side_by_side(
     Raises:
         GeoOrbitError: The calibration leaves the camera's height open, or a file can't be read.
     """
-    from geoorbit_ros.calibration.control_points import read_control_points
+    from geoorbit_ros.calibration.control_point_file import read_control_points
     from geoorbit_ros.calibration.homography import fit_homography
     from geoorbit_ros.report.image_overlay import write_image
     from geoorbit_ros.storage.track_bag import read_track_bag

@@ -138,6 +138,11 @@ class LiveMapper:
     def parameters(self, parameters: LaneParameters) -> None:
         self._mapper.parameters = parameters
 
+    @property
+    def doubtful(self) -> bool:
+        """Whether the latest rows say that something speaks against them."""
+        return self._mapper.doubtful
+
     def restart(self) -> None:
         """Forget all traffic: what comes next is another recording."""
         self._mapper = self._fresh(self.parameters)

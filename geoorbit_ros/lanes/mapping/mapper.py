@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.core.lanes import LaneMap
-from geoorbit_ros.lanes.confidence import SHOW, keep_confirmed
+from geoorbit_ros.core.tables import FLAG_DOUBTFUL
+from geoorbit_ros.lanes.confidence import SHOW, keep_confirmed, unconfirmed
 from geoorbit_ros.lanes.estimators.estimator import LaneEstimator, Restorable, State
 from geoorbit_ros.lanes.mapping.lane_ids import LaneRegistry
 from geoorbit_ros.lanes.mapping.update_policy import UpdatePolicy
@@ -36,6 +37,8 @@ class LaneMapper:
     Attributes:
         estimator: What it feeds.
         parameters: Theta; may be replaced between frames.
+        doubtful: Whether the latest rows say that something speaks against them
+            (`FLAG_DOUBTFUL`); while they do, no lane is shown as confirmed.
 
     Raises:
         ParameterError: A period that is not positive.
@@ -56,6 +59,7 @@ class LaneMapper:
         self._stamp_ns = 0
         self._ids = LaneRegistry()
         self._policy = UpdatePolicy(estimator)
+        self.doubtful = False
 
     def add(self, stamp_ns: int, rows: NDArray[np.void]) -> LaneMap | None:
         """Take one frame; the renewed map when a period has passed, else None.
@@ -65,6 +69,8 @@ class LaneMapper:
             rows: (N,) `TRACK_DTYPE`.
         """
         self.estimator.add(stamp_ns, rows)
+        if len(rows):
+            self.doubtful = bool((rows["flags"] & FLAG_DOUBTFUL).any())
         self._stamp_ns = stamp_ns
         if self._due_ns is None:
             self._due_ns = stamp_ns + self._period_ns
@@ -80,7 +86,7 @@ class LaneMapper:
         if counted is None:
             return self.finish()
         self._ids.identify(counted.lanes, counted.lanes)
-        return counted
+        return unconfirmed(counted) if self.doubtful else counted
 
     def finish(self) -> LaneMap:
         """The map of all frames so far, derived anew."""
@@ -94,7 +100,7 @@ class LaneMapper:
         named = self._ids.identify([lane for lane, _ in pairs], [before for _, before in pairs])
         lane_map = replace(found, lanes=tuple(sorted(named, key=lambda lane: lane.lane_id)))
         self._policy.derived(lane_map, self.parameters)
-        return lane_map
+        return unconfirmed(lane_map) if self.doubtful else lane_map
 
     def state(self) -> State:
         """The lanes with their ids, and what the estimator remembers if it is `Restorable`."""

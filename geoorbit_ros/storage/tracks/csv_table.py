@@ -124,7 +124,8 @@ def _roles(table: CsvText, columns: dict[str, str], place: str) -> dict[str, str
         for name in reversed(names)
         if name in plain
     }
-    return found | columns
+    # A column that the user named has no other meaning: `left=x` says that x is not the middle.
+    return {m: name for m, name in found.items() if name not in columns.values()} | columns
 
 
 def _shape(roles: dict[str, str], table: CsvText, place: str) -> tuple[str, ...]:

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.box_projector import BoxProjector
 from geoorbit_ros.calibration.homography import fit_homography
-from geoorbit_ros.core.errors import CalibrationError, TableError
+from geoorbit_ros.core.errors import TableError
 from geoorbit_ros.core.tables import (
+    FLAG_DOUBTFUL,
     FLAG_GROUND_POINT,
     FLAG_PREDICTED,
     FLAG_TRUNCATED,
@@ -345,9 +346,12 @@ def test_rows_of_another_table_are_refused() -> None:
         projector(Camera()).project(0, np.empty(0, dtype=TRACK_DTYPE))
 
 
-def test_control_points_outside_the_image_are_named() -> None:
-    with pytest.raises(CalibrationError, match=r"grid\.csv, line \d+: found pixel .*1280x720"):
-        BoxProjector(fit_homography(Camera().control_points()), (1280, 720))
+def test_control_points_of_a_larger_image_are_doubted_and_every_row_says_so() -> None:
+    made = BoxProjector(fit_homography(Camera().control_points()), (1280, 720))
+    (sentence,) = made.calibration_report.sentences(doubts=True)
+    assert "the image is 1280x720, but the control points reach pixel (1728, 1026)" in sentence
+    assert (made.project(0, row(640, 600, 60, 40))["flags"] & FLAG_DOUBTFUL).all()
+    assert not projector(Camera()).doubtful
 
 
 def test_without_a_pose_the_lower_edge_is_the_ground_point() -> None:

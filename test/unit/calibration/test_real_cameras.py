@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.box_projector import BoxProjector
-from geoorbit_ros.calibration.control_points import read_control_points
+from geoorbit_ros.calibration.control_point_file import read_control_points
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.storage.track_csv import read_track_csv
 

@@ -6,7 +6,7 @@ import json
 import re
 from pathlib import Path
 
-from geoorbit_ros.calibration.control_points import read_control_points
+from geoorbit_ros.calibration.control_point_file import read_control_points
 from geoorbit_ros.lanes.geojson import lanes_to_geojson, read_lane_file
 from geoorbit_ros.storage.track_csv import read_track_csv
 

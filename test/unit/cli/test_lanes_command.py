@@ -160,9 +160,9 @@ POINTS: list[tuple[str, Callable[[list[str]], list[str]], tuple[str, ...]]] = [
     ("three points", lambda x: x[:4], ("3 control points", "at least 4")),
     ("on one line", lambda x: [x[0], *x[1::3]], ("line",)),
     (
-        "swapped",
-        lambda x: [x[0], *(",".join((*r.split(",")[:2], *r.split(",")[:1:-1])) for r in x[1:])],
-        ("swapped",),
+        "mirrored",
+        lambda x: [x[0], *(",".join((*r.split(",")[1::-1], *r.split(",")[2:])) for r in x[1:])],
+        ("pixel_x and pixel_y, swapped?",),
     ),
     ("no header", lambda x: x[1:], ("line 1", "pixel_x")),
 ]

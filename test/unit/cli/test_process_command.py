@@ -57,12 +57,12 @@ def test_strictly_taken_frames_that_change_size_end_it(
     assert "2.jpg: found a frame of 1280x720 pixels, expected 1920x1080 as before" in sentence
 
 
-def test_control_points_outside_of_the_image_are_refused(
+def test_control_points_of_a_larger_image_are_told(
     capsys: pytest.CaptureFixture[str], camera: CameraFiles, tmp_path: Path
 ) -> None:
     images = write_images(tmp_path / "images", [(160, 120)])
     sentence = refused(capsys, camera, tmp_path / "out", str(images), "--fps", "10")
-    assert "expected a pixel of the 160x120 image" in sentence
+    assert "the image is 160x120, but the control points reach pixel" in sentence
 
 
 def test_an_empty_road_has_no_lanes(

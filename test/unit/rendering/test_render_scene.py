@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from made_scenes import FAULTLESS, changed, run_of
 
-from geoorbit_ros.calibration.control_points import read_control_points
+from geoorbit_ros.calibration.control_point_file import read_control_points
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.cli.main import main
 from geoorbit_ros.core.errors import InputFileError, ParameterError

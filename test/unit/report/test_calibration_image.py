@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from made_up_camera import MadeUpCamera
 
-from geoorbit_ros.calibration.control_points import read_control_points
+from geoorbit_ros.calibration.control_point_file import read_control_points
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.calibration.plane import Homography
 from geoorbit_ros.report.calibration_image import (

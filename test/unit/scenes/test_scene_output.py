@@ -10,7 +10,7 @@ import pytest
 from made_scenes import run_of
 
 from geoorbit_ros.calibration.box_projector import BoxProjector
-from geoorbit_ros.calibration.control_points import read_control_points
+from geoorbit_ros.calibration.control_point_file import read_control_points
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.cli.main import main
 from geoorbit_ros.core.errors import InputFileError, NoTrafficError, ParameterError

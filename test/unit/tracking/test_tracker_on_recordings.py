@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from geoorbit_ros.calibration.box_projector import BoxProjector
-from geoorbit_ros.calibration.control_points import read_control_points
+from geoorbit_ros.calibration.control_point_file import read_control_points
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.core.tables import DETECTION_DTYPE, FLAG_PREDICTED, Frames
 from geoorbit_ros.lanes.estimators.estimator import make_estimator

@@ -1,0 +1,167 @@
+"""Holds a camera's inputs against each other: calibration, image size, boxes and their times.
+
+Each may be right on its own and still not belong to the others: control points of another
+resolution, a frame number in place of the time, the corner of a box in place of its middle. What
+speaks against them is said, and lanes are not confirmed on such ground.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.calibration.camera_pose import CameraPose
+from geoorbit_ros.calibration.plane import Homography
+from geoorbit_ros.calibration.traffic_findings import (
+    border_finding,
+    seen_traffic,
+    size_finding,
+    sky_finding,
+    speed_finding,
+)
+from geoorbit_ros.core.errors import CalibrationError
+from geoorbit_ros.core.input_report import InputReport, Remark, Treatment
+from geoorbit_ros.core.tables import FLAG_PREDICTED, VEHICLE_CLASSES
+
+FAR_OUTSIDE = 0.2
+"""Control points that lie this share of the image's width or height beyond its border belong to
+another image. Chosen: larger misses images of other sizes (1080 rows for 720 are 0.5), smaller
+doubts points that were projected into the image from a survey (65 px of 1080 were met: 0.06)."""
+NAMED_POINTS = 10
+"""So many dropped control points are named, and the rest are counted."""
+SAMPLE_S = 0.2
+"""Data time between two frames that are looked at. Chosen: longer sees a vehicle too rarely where
+times are ten times too short, shorter costs time."""
+MAX_ROWS = 6_000
+"""Rows that are remembered, the latest: minutes of traffic. Chosen: more costs time and memory."""
+JUDGED_AGAIN = 0.25
+"""Traffic is judged again when this share of its rows is new. Chosen: larger says it later, smaller
+costs time."""
+JUDGE_S = 2.0
+"""Data time between two judgements at least; lanes are derived every five seconds."""
+
+
+def calibration_report(
+    homography: Homography, image_size: tuple[int, int] | None = None
+) -> InputReport:
+    """What is to be said about the control points, the fit, and the image they belong to.
+
+    Args:
+        homography: The road plane.
+        image_size: (width, height) of the image in pixels; None where it isn't known.
+    """
+    points, residual = homography.points, homography.residual
+    read = points.report
+    report = InputReport(points.place, "control points", read.total or len(points))
+    report.remarks += read.remarks
+    dropped = np.flatnonzero(~residual.inlier)
+    if len(dropped):
+        shown = [
+            f"line {points.line_number[k]}: {residual.pixel_error[k]:.0f} px, "
+            f"{residual.ground_error_m[k]:.1f} m"
+            for k in dropped[:NAMED_POINTS]
+        ]
+        more = f" and {len(dropped) - NAMED_POINTS} more" if len(dropped) > NAMED_POINTS else ""
+        text = f"they disagree with the others ({'; '.join(shown)}{more})"
+        report.add(Treatment.LEFT_OUT, len(dropped), text)
+    if image_size is None:
+        return report
+    size = np.array(image_size, dtype=np.float64)
+    beyond = np.maximum(-points.pixel, points.pixel - size) / size
+    outside = (beyond > 0.0).any(axis=1) & residual.inlier
+    if outside.any():
+        width, height = image_size
+        reach = points.pixel[residual.inlier].max(axis=0)
+        if beyond[outside].max() > FAR_OUTSIDE:
+            text = (
+                f"the image is {width}x{height}, but the control points reach pixel "
+                f"({reach[0]:.0f}, {reach[1]:.0f}): are they of this image, in this size?"
+            )
+            report.note(Treatment.DOUBTFUL, text)
+        else:
+            text = f"outside the image of {width}x{height}, used all the same"
+            k = int(np.argmax(outside))
+            u, v = points.pixel[k]
+            example = f"line {points.line_number[k]}: pixel ({u:.0f}, {v:.0f})"
+            report.add(Treatment.NOTED, int(outside.sum()), text, example)
+    return report
+
+
+class TrafficCheck:
+    """Looks at a camera's traffic now and then: is it what these inputs together can show?
+
+    Only the past counts, by the frames' stamps: the same frames give the same findings.
+
+    Args:
+        homography: The road plane.
+        image_size: (width, height) of the image in pixels.
+        pose: The camera; None where its height is not known, and nothing is said about sizes.
+        pose_error: Why it isn't.
+
+    Attributes:
+        findings: What speaks against the inputs, as of the last judgement.
+    """
+
+    def __init__(
+        self,
+        homography: Homography,
+        image_size: tuple[int, int],
+        pose: CameraPose | None,
+        pose_error: CalibrationError | None = None,
+    ) -> None:
+        self._homography, self._image_size = homography, image_size
+        self._pose, self._pose_error = pose, pose_error
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all traffic, and what was found in it."""
+        self.findings: tuple[Remark, ...] = ()
+        self._seen: deque[tuple[float, NDArray[np.void]]] = deque()
+        self._rows = self._new_rows = 0
+        self._sampled_ns = self._judged_ns = -(1 << 62)
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether a finding speaks against trusting what is made of this traffic."""
+        return any(found.treatment is Treatment.DOUBTFUL for found in self.findings)
+
+    def add(self, stamp_ns: int, rows: NDArray[np.void]) -> None:
+        """Take one frame of `PIXEL_TRACK_DTYPE`; judge when enough is new."""
+        if stamp_ns - self._sampled_ns < SAMPLE_S * 1e9 or not len(rows):
+            return
+        self._sampled_ns = stamp_ns
+        box = np.column_stack([rows[name] for name in ("x", "y", "width", "height")])
+        use = np.isin(rows["class_id"], VEHICLE_CLASSES) & np.isfinite(box).all(axis=1)
+        rows = rows[use & ((rows["flags"] & FLAG_PREDICTED) == 0)]
+        self._seen.append((stamp_ns / 1e9, rows))
+        self._rows, self._new_rows = self._rows + len(rows), self._new_rows + len(rows)
+        while self._rows - len(self._seen[0][1]) > MAX_ROWS:
+            self._rows -= len(self._seen.popleft()[1])
+        enough = self._new_rows >= JUDGED_AGAIN * self._rows
+        if enough and stamp_ns - self._judged_ns >= JUDGE_S * 1e9:
+            self._judged_ns = stamp_ns
+            self.judge()
+
+    def judge(self) -> tuple[Remark, ...]:
+        """The findings on all traffic that is remembered, now."""
+        self._new_rows = 0
+        if self._rows:
+            traffic = seen_traffic(self._seen, self._homography)
+            found = [
+                *sky_finding(traffic),
+                *speed_finding(traffic),
+                *border_finding(traffic, self._image_size, self._homography, self._pose),
+            ]
+            if self._pose is not None:
+                found += size_finding(traffic, self._image_size, self._homography, self._pose)
+            elif self._pose_error is not None and traffic.solid.any():
+                text = (
+                    "vehicles are taken to stand where their boxes end, as the camera's height is "
+                    f"not known: found {self._pose_error.found}, expected "
+                    f"{self._pose_error.expected}"
+                )
+                found.append(Remark(Treatment.NOTED, 0, text))
+            self.findings = tuple(found)
+        return self.findings

@@ -1,0 +1,383 @@
+"""What a camera's traffic says against its inputs: speeds, sizes, borders, the horizon.
+
+All from medians over vehicles, so that a few odd ones don't matter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.calibration.camera_pose import CameraPose
+from geoorbit_ros.calibration.plane import Homography
+from geoorbit_ros.calibration.vehicle_fit import fit_vehicles
+from geoorbit_ros.calibration.vehicle_size import COVARIANCE, MEAN_M
+from geoorbit_ros.core.input_report import Remark, Treatment
+from geoorbit_ros.core.tables import CAR as CAR_CLASS
+from geoorbit_ros.core.tables import FLAG_GROUND_POINT, UNKNOWN_CLASS
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+MIN_TRACKS = 5
+"""Vehicles that must have been seen before anything is said: lanes are confirmed from six on."""
+MIN_TRAVEL_M = 10.0
+"""A vehicle drives if it comes this far: two car lengths, more than a box wanders."""
+SHARP_M = 2.0
+"""Positions less certain than this say nothing about speed and size: half a car's length."""
+FASTEST = (50.0, 70.0)
+"""m/s: no road's median, and what no tenth of its vehicles exceeds. Chosen: 180 and 250 km/h, where
+makers limit their cars; larger misses streets filmed at a wrong frame rate, smaller doubts a
+motorway without a limit."""
+SLOWEST = 3.0
+"""m/s. Vehicles that drive more slowly than this (11 km/h) and never stop are no traffic. Chosen:
+larger doubts a yard, smaller misses times that are ten times too long."""
+SLOWEST_STEPWISE = 6.0
+"""m/s: the same where images are a second apart. Vehicles would then be dozens of metres apart
+from image to image, unless the second is a frame number."""
+STEP_S = 0.999
+"""Images this far apart could be counted rather than timed."""
+STEADY = 0.25
+"""Standard deviation over mean of a vehicle's speed on its way. Chosen: free traffic has 0.03 to
+0.07 in the scenes and at US-12; larger doubts traffic that stops and goes, where slow is right."""
+LEG_M = 4.0
+"""Speed is measured over ways of this length. Chosen: longer hides stops, shorter is noise."""
+SKY_SHARE = 0.1
+"""A larger share of vehicles above the horizon is none of this camera. Chosen: detectors see few
+vehicles in the sky; at twelve cameras it was none of all boxes."""
+
+
+MIN_CARS = 8
+"""Cars whose sizes are compared at least. Chosen: fewer could all be vans, more takes longer."""
+MIN_SHARP = 0.5
+"""Share of boxes whose place is certain; with fewer the calibration is not that of the traffic."""
+MIN_ROWS = 3
+"""Boxes of one car at least, for its median."""
+MIN_STEP_M = 1.0
+"""A car's direction is known from a way of this length. Chosen: longer leaves slow ones out,
+shorter takes noise for a direction."""
+MAX_BOXES = 1500
+"""So many boxes are compared with cars. Chosen: more costs time, fewer sees too few cars."""
+SIZE_DOUBT = 0.5
+"""Sum of |log| of width and height of cars over what cars have: 0.05 to 0.16 in the scenes and at
+US-12. Chosen: a scale that is off by 28 %; smaller doubts cameras with lens distortion."""
+EXPLAINED = (0.3, 0.15)
+"""A smaller misfit is doubted, too, if another reading of the boxes brings it down so far. Chosen:
+w and h exchanged make 0.44 to 1.0; smaller first, larger second believes chance."""
+SCALES = (0.25, 1 / 3, 0.5, 2 / 3, 0.75, 1.5, 4 / 3, 2.0, 3.0, 4.0)
+"""Common ratios of two image sizes of one camera: 1080 rows to 720, 540, 360, 1440, 2160…"""
+TOUCHING = 0.01
+"""An edge this near to the image's border, as a share of its side, ends there."""
+WORSE = 0.03
+"""Boxes are not misread if cars' sizes would become worse by this much. Chosen: in the scenes and
+at US-12 a wrong reading makes them worse by 0.1; smaller vetoes right ones by noise."""
+POKING = 0.1
+"""A box that reaches this share of its side beyond the border was not drawn in this image. Chosen:
+trackers that predict put a box a few per cent beyond; larger overlooks what does not fit."""
+ODD_SHARE = 0.1
+"""Where a reading of the boxes is right, at most this share of those that meet the border reach
+beyond it. Chosen: larger believes a wrong reading, smaller a tracker's predictions."""
+MISREAD_SHARE = 0.3
+"""Boxes are misread if, of the vehicles whose boxes end at the border in another reading, at most
+this share does in the given one, or at least this share reaches beyond the border. Chosen: 0 and 0
+where the reading is right, 0.4 and more where it is wrong."""
+READINGS = {
+    "x, y look like the boxes' upper left corner (--columns left=x,top=y)": (0.5, 0.5, False),
+    "x, y look like the middle of the boxes' lower edge": (0.0, -0.5, False),
+    "x, y look like the boxes' lower left corner": (0.5, -0.5, False),
+    "w and h look exchanged (--columns w=h,h=w)": (0.0, 0.0, True),
+}
+"""What the four numbers of a box may mean: from x, y to its middle in shares of its sides; whether
+these are exchanged."""
+OUTSIDE_SHARE = 0.05
+"""More boxes whose middle lies outside of the image are no accident. Chosen: trackers that predict
+vehicles on their way out make a few; larger overlooks images of another size."""
+CORNERS_SHARE = 0.95
+"""Share of boxes with w above x and h above y from which on these are coordinates of corners."""
+COMMON_SIZES = (
+    (640, 360), (640, 480), (704, 576), (720, 576), (800, 600), (854, 480), (960, 540),
+    (1024, 768), (1280, 720), (1280, 960), (1920, 1080), (2560, 1440), (2592, 1944),
+)  # fmt: skip
+"""Sizes of cameras' images."""
+
+
+@dataclass(frozen=True, slots=True)
+class SeenTraffic:
+    """Boxes of vehicles, ordered by track and time.
+
+    Attributes:
+        track_id: (N,).
+        time_s: (N,) capture time.
+        box: (N, 4) x, y, width, height in pixels.
+        solid: (N,) False where the pixel already is the ground point.
+        car: (N,) of class car or of none.
+        ground: (N, 2) metres, NaN above the horizon.
+        sharp: (N,) the position is certain to `SHARP_M`.
+        step_s: Usual time between two frames.
+    """
+
+    track_id: NDArray[np.int32]
+    time_s: Array
+    box: Array
+    solid: Mask
+    car: Mask
+    ground: Array
+    sharp: Mask
+    step_s: float
+
+    def tracks(self, use: Mask) -> Iterator[NDArray[np.intp]]:
+        """Rows of each track that are in `use`."""
+        at = np.flatnonzero(use)
+        if len(at):
+            yield from np.split(at, np.flatnonzero(np.diff(self.track_id[at])) + 1)
+
+
+def seen_traffic(
+    frames: Iterable[tuple[float, NDArray[np.void]]], homography: Homography
+) -> SeenTraffic:
+    """Order what was seen and put it on the road by the middle of each box's lower edge."""
+    frames = list(frames)
+    rows = np.concatenate([rows for _, rows in frames])
+    times = np.array([time_s for time_s, _ in frames])
+    time_s = np.repeat(times, [len(rows) for _, rows in frames])
+    order = np.lexsort((time_s, rows["track_id"]))
+    rows, time_s = rows[order], time_s[order]
+    box = np.column_stack([rows[name] for name in ("x", "y", "width", "height")]).astype(np.float64)
+    foot = box[:, :2] + np.column_stack((np.zeros(len(box)), box[:, 3] / 2))
+    return SeenTraffic(
+        rows["track_id"],
+        time_s,
+        box,
+        (rows["flags"] & FLAG_GROUND_POINT) == 0,
+        np.isin(rows["class_id"], (CAR_CLASS, UNKNOWN_CLASS)),
+        homography.to_ground(foot),
+        homography.sigma_m(foot, 1.5) <= SHARP_M,
+        float(np.median(np.diff(times))) if len(times) > 1 else 0.0,
+    )
+
+
+def sky_finding(traffic: SeenTraffic) -> Iterator[Remark]:
+    """Vehicles above the horizon of the calibration."""
+    above = ~np.isfinite(traffic.ground[:, 0])
+    share = float(above.mean())
+    seen = sum(1 for _ in traffic.tracks(above))
+    if share > SKY_SHARE and seen >= MIN_TRACKS:
+        text = (
+            f"{share:.0%} of the vehicles' boxes lie above the horizon of the calibration: "
+            "are boxes and control points of the same image, in the same size?"
+        )
+        yield Remark(Treatment.DOUBTFUL, 0, text)
+
+
+def speed_finding(traffic: SeenTraffic) -> Iterator[Remark]:
+    """Speeds that no traffic has."""
+    speed, steady = _speeds(traffic)
+    if len(speed) < MIN_TRACKS:
+        return
+    low, usual, high = (3.6 * v for v in np.quantile(speed, (0.1, 0.5, 0.9)))
+    range_text = f"vehicles drive {low:.0f} to {high:.0f} km/h, {usual:.0f} km/h in the middle"
+    if usual > 3.6 * FASTEST[0] or high > 3.6 * FASTEST[1]:
+        text = f"{range_text}: are the times right (--fps), and the control points in metres?"
+        yield Remark(Treatment.DOUBTFUL, 0, text)
+    stepwise = traffic.step_s >= STEP_S
+    if usual <= 3.6 * (SLOWEST_STEPWISE if stepwise else SLOWEST) and steady < STEADY:
+        asked = "is the time a frame number" if stepwise else "are the times right (--fps)"
+        text = f"{range_text}, and none stops: {asked}, and are the control points in metres?"
+        yield Remark(Treatment.DOUBTFUL, 0, text)
+
+
+def _speeds(traffic: SeenTraffic) -> tuple[Array, float]:
+    """Speed (T,) of every vehicle that drives, m/s, and how unsteady it usually is on its way."""
+    speeds, unsteady = [], []
+    for rows in traffic.tracks(traffic.sharp):
+        xy, time_s = traffic.ground[rows], traffic.time_s[rows]
+        chord = xy[-1] - xy[0]
+        travel_m, seconds = float(np.hypot(*chord)), float(time_s[-1] - time_s[0])
+        if travel_m < MIN_TRAVEL_M or seconds <= 0.0:
+            continue
+        speeds.append(travel_m / seconds)
+        along_m = np.maximum.accumulate((xy - xy[0]) @ (chord / travel_m))
+        legs = np.unique(np.floor(along_m / LEG_M), return_index=True)[1]
+        if len(legs) > 2:
+            leg = np.diff(along_m[legs]) / np.diff(time_s[legs])
+            unsteady.append(float(leg.std() / leg.mean()))
+    return np.array(speeds), float(np.median(unsteady)) if unsteady else np.inf
+
+
+def border_finding(
+    traffic: SeenTraffic,
+    image_size: tuple[int, int],
+    homography: Homography,
+    pose: CameraPose | None,
+) -> Iterator[Remark]:
+    """Boxes that fit into the image only if read in another way, or into another image."""
+    size = np.array(image_size, dtype=np.float64)
+    box, track_id = traffic.box[traffic.solid], traffic.track_id[traffic.solid]
+    if len(np.unique(track_id)) < MIN_TRACKS:
+        return
+    if np.mean((box[:, 2:] > box[:, :2]).all(axis=1)) >= CORNERS_SHARE:
+        text = "w, h look like the boxes' lower right corner: --columns x1=x,y1=y,x2=w,y2=h"
+        yield Remark(Treatment.DOUBTFUL, 0, text)
+        return
+    ends, beyond = _at_border(box, track_id, (0.0, 0.0, False), size)
+    fitting = {}
+    for meaning, reading in READINGS.items():
+        count, odd = _at_border(box, track_id, reading, size)
+        misread = ends <= MISREAD_SHARE * count or beyond >= MISREAD_SHARE * count
+        fits = count >= max(MIN_TRACKS, ends) and odd <= ODD_SHARE * count
+        if misread and fits and _sizes_allow(traffic, reading, homography, pose):
+            fitting[meaning] = count
+    if fitting:
+        meaning = max(fitting, key=lambda known: fitting[known])
+        text = (
+            f"{meaning}: so read, boxes of {fitting[meaning]} vehicles end at the image's "
+            f"border; else those of {ends}, and those of {beyond} reach beyond it"
+        )
+        yield Remark(Treatment.DOUBTFUL, 0, text)
+        return
+    image = f"{image_size[0]}x{image_size[1]}"
+    outside = ((box[:, :2] < 0.0) | (box[:, :2] > size)).any(axis=1)
+    reach = np.quantile(box[:, :2] + box[:, 2:] / 2, 0.999, axis=0)
+    if outside.mean() > OUTSIDE_SHARE:
+        text = f"the image is {image}, but boxes reach {reach[0]:.0f}x{reach[1]:.0f}"
+        yield Remark(Treatment.DOUBTFUL, 0, text)
+    for known in COMMON_SIZES:
+        other = np.array(known, dtype=np.float64)
+        if (np.abs(reach - other) <= 1.5 * TOUCHING * other).all() and (other < 0.9 * size).all():
+            ends, beyond = _at_border(box, track_id, (0.0, 0.0, False), other)
+            if ends >= MIN_TRACKS and beyond <= ODD_SHARE * ends:
+                text = f"boxes end at {known[0]}x{known[1]}: is the image really {image}?"
+                yield Remark(Treatment.DOUBTFUL, 0, text)
+
+
+def _sizes_allow(
+    traffic: SeenTraffic,
+    reading: tuple[float, float, bool],
+    homography: Homography,
+    pose: CameraPose | None,
+) -> bool:
+    """False where cars would have worse sizes so read than as their boxes are given."""
+    use = traffic.solid & traffic.car
+    if pose is None or not use.any():
+        return True
+    track_id, box = traffic.track_id[use], traffic.box[use]
+    given = _car_size(track_id, box, homography, pose)
+    other = _car_size(track_id, _read_as(box, reading), homography, pose)
+    return given is None or other is None or _misfit(other) <= _misfit(given) + WORSE
+
+
+def _at_border(
+    box: Array, track_id: NDArray[np.int32], reading: tuple[float, float, bool], size: Array
+) -> tuple[int, int]:
+    """Vehicles with a box that ends at the border, and with one that reaches beyond it."""
+    box, near = _read_as(box, reading), TOUCHING * size
+    side = box[:, 2:]
+    low, high = box[:, :2] - side / 2, box[:, :2] + side / 2
+    beyond = ((low < -POKING * side - near) | (high > size + POKING * side + near)).any(axis=1)
+    ends = ((np.abs(low) <= near) | (np.abs(high - size) <= near)).any(axis=1) & ~beyond
+    return len(np.unique(track_id[ends])), len(np.unique(track_id[beyond]))
+
+
+def _read_as(box: Array, reading: tuple[float, float, bool]) -> Array:
+    """Boxes (N, 4) by their middle, of numbers that mean something else."""
+    right, down, exchanged = reading
+    side = box[:, 3:1:-1] if exchanged else box[:, 2:]
+    return np.hstack((box[:, :2] + np.array((right, down)) * side, side))
+
+
+def size_finding(
+    traffic: SeenTraffic, image_size: tuple[int, int], homography: Homography, pose: CameraPose
+) -> Iterator[Remark]:
+    """Cars of sizes that cars don't have, and how their boxes may be meant."""
+    size = np.array(image_size, dtype=np.float64)
+    low = traffic.box[:, :2] - traffic.box[:, 2:] / 2
+    high = low + traffic.box[:, 2:]
+    whole = ((low > TOUCHING * size) & (high < (1.0 - TOUCHING) * size)).all(axis=1)
+    use = traffic.solid & traffic.car & whole
+    cars = np.unique(traffic.track_id[use])
+    if len(cars) < MIN_CARS:
+        return
+    fewer = min(int(use.sum()) // MAX_BOXES, len(cars) // (3 * MIN_CARS))
+    use &= np.isin(traffic.track_id, cars[:: max(1, fewer)])
+    track_id, box = traffic.track_id[use], traffic.box[use]
+    found = _car_size(track_id, box, homography, pose)
+    if found is None or _misfit(found) < EXPLAINED[0]:
+        return
+    misfit = {}
+    for meaning, columns in _other_readings(box).items():
+        other = _car_size(track_id, np.column_stack(columns), homography, pose)
+        if other is not None:
+            misfit[meaning] = _misfit(other)
+    best = min(misfit, key=lambda meaning: misfit[meaning], default="")
+    if not best or misfit[best] > EXPLAINED[1]:
+        if _misfit(found) < SIZE_DOUBT:
+            return
+        best = "are the control points in metres, and of this image, in the boxes' size?"
+    width_m, height_m = np.exp(found) * MEAN_M[0, 1:]
+    text = (
+        f"cars look {width_m:.1f} m wide and {height_m:.1f} m high "
+        f"(usual: {MEAN_M[0, 1]:.1f} and {MEAN_M[0, 2]:.1f} m): {best}"
+    )
+    yield Remark(Treatment.DOUBTFUL, 0, text)
+
+
+def _other_readings(box: Array) -> dict[str, tuple[Array, ...]]:
+    """What the four numbers of a box may mean, and x, y, width, height if they do."""
+    x, y, width, height = box.T
+    scaled: dict[str, tuple[Array, ...]] = {
+        f"the boxes look drawn in an image {1 / k:.3g} times as large as that of the control "
+        "points": (k * x, k * y, k * width, k * height)
+        for k in SCALES
+    }
+    return {"w and h look exchanged (--columns w=h,h=w)": (x, y, height, width)} | scaled
+
+
+def _misfit(log_ratio: Array) -> float:
+    return float(np.abs(log_ratio).sum())
+
+
+def _car_size(
+    track_id: NDArray[np.int32], box: Array, homography: Homography, pose: CameraPose
+) -> Array | None:
+    """Log of width and height (2,) of cars over those that cars have; None: too few to say."""
+    foot = box[:, :2] + np.column_stack((np.zeros(len(box)), box[:, 3] / 2))
+    with np.errstate(invalid="ignore"):
+        sharp = (homography.sigma_m(foot, 1.5) <= SHARP_M) & (box[:, 2:] > 0.0).all(axis=1)
+    if not sharp.mean() >= MIN_SHARP:
+        return None
+    track_id, box = track_id[sharp], box[sharp]
+    ground = homography.to_ground(foot[sharp])
+    before, after = _neighbours(track_id)
+    step = ground[after] - ground[before]
+    moving = np.hypot(*step.T) >= MIN_STEP_M
+    track_id, box, step = track_id[moving], box[moving], step[moving]
+    n = len(box)
+    if not n:
+        return None
+    size_m, size_cov = np.tile(MEAN_M[0], (n, 1)), np.tile(COVARIANCE[0], (n, 1, 1))
+    heading = np.arctan2(step[:, 1], step[:, 0])
+    with np.errstate(all="ignore"):
+        fit = fit_vehicles(
+            pose.projection, box[:, :2], box[:, 2:], heading, size_m, size_cov, np.ones(n, np.bool_)
+        )
+        ratio = np.log(box[:, 2:] / fit.side_px)
+    good = fit.good & np.isfinite(ratio).all(axis=1)
+    at = np.flatnonzero(good)
+    if not len(at):
+        return None
+    tracks = np.split(at, np.flatnonzero(np.diff(track_id[at])) + 1)
+    usual = [np.median(ratio[rows], axis=0) for rows in tracks if len(rows) >= MIN_ROWS]
+    return np.median(usual, axis=0) if len(usual) >= MIN_CARS else None
+
+
+def _neighbours(track_id: NDArray[np.int32]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows (N,) two before and two after each row, within its track."""
+    at = np.arange(len(track_id))
+    new = np.flatnonzero(np.diff(track_id)) + 1
+    first = np.concatenate(([0], new))
+    last = np.append(new, len(track_id)) - 1
+    own = np.searchsorted(new, at, side="right")
+    return np.maximum(at - 2, first[own]), np.minimum(at + 2, last[own])
