@@ -19,6 +19,7 @@ from rclpy.parameter import Parameter
 
 from geoorbit_ros.core.addresses import masked
 from geoorbit_ros.core.errors import ParameterError
+from geoorbit_ros.core.input_report import decimal_comma
 from geoorbit_ros.core.plugins import FORM, FROM_FILES, expected, is_name, registered
 from geoorbit_ros.core.resources import share_path
 
@@ -26,6 +27,11 @@ _TYPES: dict[str, type] = {"bool": bool, "int": int, "double": float, "string": 
 _WORDS = {"bool": "true or false", "int": "a whole number", "double": "a number", "string": "text"}
 
 _JSON_TYPES = {"bool": "boolean", "int": "integer", "double": "number", "string": "string"}
+
+_BOOLS = dict.fromkeys(("true", "yes", "on", "1"), True) | dict.fromkeys(
+    ("false", "no", "off", "0"), False
+)
+"""Words for true and false, as YAML 1.1 and people have them."""
 
 Struct = TypeVar("Struct")
 Value = bool | int | float | str
@@ -95,17 +101,19 @@ class ParameterSpec:
         return schema
 
     def checked(self, value: object, place: str) -> Value:
-        """The value in the parameter's type; a whole number is taken for a `double`.
+        """The value in the parameter's type.
+
+        What can mean only one thing is taken for it: a whole number for a `double` and the other
+        way round, a number written as text (`"10"`, `10,5`), yes, no, on and off for a `bool`.
 
         Raises:
             ParameterError: Wrong type, or outside what the schema allows.
         """
-        wanted = _TYPES[self.kind]
-        if wanted is float and type(value) is int:
-            value = float(value)
+        wanted, given = _TYPES[self.kind], value
+        value = _in_type(value, wanted)
         if type(value) is wanted and self._allows(value):
             return value  # type: ignore[return-value]  # its type is one of _TYPES
-        found = repr(masked(value)) if isinstance(value, str) else str(value)
+        found = repr(masked(given)) if isinstance(given, str) else str(given)
         raise ParameterError(f"{place}, parameter '{self.name}'", found, self.expected)
 
     def _allows(self, value: Any) -> bool:
@@ -118,6 +126,25 @@ class ParameterSpec:
             and (not self.plugin or is_name(self.plugin, value))
             and not (self.not_empty and value == "")
         )
+
+
+def _in_type(value: object, wanted: type) -> object:
+    """A value in the type that is wanted, if it can mean nothing else; otherwise as it is."""
+    if isinstance(value, str) and wanted is bool:
+        return _BOOLS.get(value.strip().lower(), value)
+    if isinstance(value, str) and wanted in (int, float):
+        number = decimal_comma(value.strip())
+        try:
+            value = float(value) if number is None else number
+        except ValueError:
+            return value
+    if wanted is float and type(value) is int:
+        return float(value)
+    if wanted is int and isinstance(value, float) and value.is_integer():
+        return int(value)
+    if wanted is str and type(value) in (int, float):
+        return str(value)
+    return value
 
 
 @lru_cache

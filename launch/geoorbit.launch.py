@@ -11,8 +11,8 @@ Wiring only: every number is in the parameter schemas and in `params_file`.
 
 from pathlib import Path
 
-from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch import Action, LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration, NotEqualsSubstitution, PathJoinSubstitution
 from launch_ros.actions import Node
@@ -20,8 +20,9 @@ from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
 from geoorbit_ros.core.errors import ParameterError
-from geoorbit_ros.fleet.fleet_file import load_fleet
-from geoorbit_ros.fleet.prepare import prepare
+from geoorbit_ros.core.input_report import InputReport
+from geoorbit_ros.fleet.fleet_io import load_fleet
+from geoorbit_ros.fleet.prepare import leave_out_missing, prepare
 
 PACKAGE = "geoorbit_ros"
 
@@ -54,7 +55,7 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription([*arguments, OpaqueFunction(function=choose)])
 
 
-def choose(context: LaunchContext) -> list[Node]:
+def choose(context: LaunchContext) -> list[Action]:
     """The nodes of the fleet where one is named, else those of one camera."""
     fleet = LaunchConfiguration("fleet").perform(context)
     out = LaunchConfiguration("out").perform(context)
@@ -83,11 +84,13 @@ def check_one_camera(camera_id: str, calibration: str, source: str, bag: str) ->
         raise ParameterError("launch argument 'bag'", f"no file '{bag}'", "a bag")
 
 
-def fleet_nodes(fleet: str, out: str) -> list[Node]:
-    """The graph that `geoorbit up` makes, one process per node."""
-    content, file = load_fleet(fleet)
+def fleet_nodes(fleet: str, out: str) -> list[Action]:
+    """The graph that `geoorbit up` makes, one process per node, and what is left out of it."""
+    report = InputReport(fleet, "cameras")
+    content, file = load_fleet(fleet, report)
+    content = leave_out_missing(content, file.parent.absolute(), report)
     base, output = file.parent.absolute(), (Path(out or f"out/{content.name}")).absolute()
-    return [
+    nodes = [
         Node(
             package=PACKAGE,
             executable=node.executable,
@@ -96,9 +99,10 @@ def fleet_nodes(fleet: str, out: str) -> list[Node]:
             respawn=True,
             respawn_delay=1.0,
         )
-        for plan in prepare(content, base, output)
+        for plan in prepare(content, base, output, report=report)
         for node in plan.nodes
     ]
+    return [*(LogInfo(msg=f"{fleet}: {text}") for text in report.sentences()), *nodes]
 
 
 def one_camera_nodes() -> list[Node]:

@@ -62,7 +62,7 @@ def add(
     from geoorbit_ros.cli.images import ImageOptions, first_image
     from geoorbit_ros.cli.resume import prepared_run
     from geoorbit_ros.detection.detector import DetectorSettings
-    from geoorbit_ros.fleet.fleet_file import add_camera, check_new_camera
+    from geoorbit_ros.fleet.fleet_io import add_camera, check_new_camera
     from geoorbit_ros.scenes.output import check_new_folder
     from geoorbit_ros.storage.atomic import atomic_output
     from geoorbit_ros.storage.frames.source import LeftOut
@@ -101,7 +101,7 @@ def remove(
     Example: [bold]geoorbit camera remove north --fleet fleet.yaml[/bold]
     """
     from geoorbit_ros.cli.console import say
-    from geoorbit_ros.fleet.fleet_file import remove_camera
+    from geoorbit_ros.fleet.fleet_io import remove_camera
 
     left = remove_camera(fleet, camera_id)
     say(f"Removed {camera_id} from {fleet}; it has {', '.join(c.id for c in left.cameras)}.")
@@ -112,7 +112,7 @@ def _entry(
 ) -> dict[str, object]:
     """The camera as the fleet file names it."""
     from geoorbit_ros.core.addresses import masked
-    from geoorbit_ros.fleet.fleet_file import relative
+    from geoorbit_ros.fleet.fleet_io import relative
 
     entry: dict[str, object] = {
         "id": job.camera_id,
@@ -134,7 +134,7 @@ def _password(
 ) -> dict[str, object]:
     """Where the fleet finds the camera's password: a file that only its owner can read."""
     from geoorbit_ros.core.addresses import is_address, secrets_of
-    from geoorbit_ros.fleet.fleet_file import relative
+    from geoorbit_ros.fleet.fleet_io import relative
 
     if password_file is None and is_address(source) and (secrets := secrets_of(source)):
         password_file = fleet.absolute().parent / f"{job.camera_id}.password"

@@ -44,16 +44,20 @@ def status(
 
     Example: [bold]geoorbit status demo --once --json[/bold]
     """
-    from geoorbit_ros.cli.console import console
-    from geoorbit_ros.fleet.fleet_file import load_fleet
+    from geoorbit_ros.cli.console import console, print_remarks
+    from geoorbit_ros.core.input_report import InputReport
+    from geoorbit_ros.fleet.fleet_io import load_fleet
     from geoorbit_ros.fleet.health import rows
     from geoorbit_ros.fleet.plan import expected_nodes
+    from geoorbit_ros.fleet.prepare import leave_out_missing
     from geoorbit_ros.nodes.support.composition import Composition
     from geoorbit_ros.nodes.support.diagnostics import StatusListener
 
     expected = None
+    report = InputReport(fleet or "", "cameras")
     if fleet is not None:
-        content, _ = load_fleet(fleet)
+        content, file = load_fleet(fleet, report)
+        content = leave_out_missing(content, file.parent.absolute(), report)
         expected = expected_nodes(content)
         domain_id = content.domain_id if domain_id is None else domain_id
     with Composition(_domain(domain_id), quiet=True) as nodes:
@@ -68,10 +72,14 @@ def status(
                     break
             cameras, services = rows(listener.reports(), expected)
             if as_json:
-                typer.echo(json.dumps(_as_json(cameras, services), indent=2))
+                content_json = _as_json(cameras, services) | {"remarks": list(report.sentences())}
+                typer.echo(json.dumps(content_json, indent=2))
             else:
                 console.print(_tables(cameras, services))
-            raise typer.Exit(0 if _healthy((cameras, services)) else 1)
+                print_remarks(report)
+            healthy = _healthy((cameras, services)) and not report.faults
+            raise typer.Exit(0 if healthy else 1)
+        print_remarks(report)
         _watch(nodes, listener, expected)
 
 

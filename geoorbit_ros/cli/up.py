@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from geoorbit_ros.core.errors import GeoOrbitError
+from geoorbit_ros.core.input_report import InputReport, Treatment
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
@@ -37,33 +40,80 @@ def up(
     duration_s: Annotated[
         float | None, typer.Option("--duration", min=0.1, help="End by itself after so many s.")
     ] = None,
+    strict: Annotated[
+        bool,
+        typer.Option("--strict", help="Start nothing when a camera or service can't be used."),
+    ] = False,
 ) -> None:
     """Start every process of a fleet, watch them, and replace those that end or hang.
 
-    Each camera's nodes share a process; the federated server and the twin have their own. A process
-    that can't use what the file gives it is told once and left out. Ctrl-C ends all of them within
-    five seconds. [bold]geoorbit status[/bold] shows how they are, from
-    another terminal.
+    Each camera's nodes share a process; the federated server and the twin have their own. A camera
+    or service that can't use what the file gives it is told once and left out, and the command
+    ends with 2. Ctrl-C ends all of them within five seconds. [bold]geoorbit status[/bold] shows how
+    they are, from another terminal.
 
     Example: [bold]geoorbit up demo[/bold]
     """
-    from geoorbit_ros.cli.console import status
-    from geoorbit_ros.fleet.fleet_file import load_fleet
-    from geoorbit_ros.fleet.plan import plan_fleet, select
-    from geoorbit_ros.fleet.prepare import prepare
+    from geoorbit_ros.cli.console import print_remarks, say
 
-    content, file = load_fleet(fleet)
-    folder = (out or Path("out") / content.name).absolute()
-    base = file.parent.absolute()
-    plans = select(plan_fleet(content, base, folder), only or [])
-    _check_plugins(file, plans)
-    _warn_of_readers(content, base)
+    report = InputReport(fleet, "cameras")
+    try:
+        content, plans, folder = _plan(fleet, out, only or [], dry_run, strict, report)
+    except GeoOrbitError as error:
+        for sentence in report.sentences():
+            if sentence not in str(error):
+                say(sentence)
+        raise
     if dry_run:
         _print_plan(content, plans, folder)
-        return
+    print_remarks(report)
+    if not dry_run:
+        _watch(fleet, content, plans, folder, duration_s)
+    if any(remark.treatment is Treatment.LEFT_OUT for remark in report.remarks):
+        raise typer.Exit(2)
+
+
+def _plan(
+    fleet: str,
+    out: Path | None,
+    only: Sequence[str],
+    dry_run: bool,
+    strict: bool,
+    report: InputReport,
+) -> tuple[Fleet, tuple[ProcessPlan, ...], Path]:
+    """What is started of a fleet, and its output folder; `report` takes what is left out."""
+    from geoorbit_ros.cli.console import status
+    from geoorbit_ros.fleet.fleet_io import load_fleet
+    from geoorbit_ros.fleet.plan import plan_fleet, select
+    from geoorbit_ros.fleet.prepare import leave_out, leave_out_missing, prepare
+
+    content, file = load_fleet(fleet, report)
+    folder = (out or Path("out") / content.name).absolute()
+    base = file.parent.absolute()
+    expected = "a fleet whose cameras and services can all be used"
+    content = leave_out_missing(content, base, report)
+    report.check(strict, expected)
+    plans = select(plan_fleet(content, base, folder), only)
+    content = leave_out(content, _plugin_faults(file, plans), report)
+    report.check(strict, expected)
+    _warn_of_readers(content, base)
+    if dry_run:
+        return content, select(plan_fleet(content, base, folder), only), folder
     with status("looking at the cameras"):
-        plans = prepare(content, base, folder, only or [])
-    _watch(fleet, content, plans, folder, duration_s)
+        plans = prepare(content, base, folder, only, report)
+    report.check(strict, expected)
+    return content, plans, folder
+
+
+def _plugin_faults(file: Path, plans: Sequence[ProcessPlan]) -> dict[str, str]:
+    """What is wrong with the plug-ins of each process."""
+    faults = {}
+    for plan in plans:
+        try:
+            _check_plugins(file, [plan])
+        except GeoOrbitError as error:
+            faults[plan.name] = str(error)
+    return faults
 
 
 def _warn_of_readers(fleet: Fleet, base: Path) -> None:

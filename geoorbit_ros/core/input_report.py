@@ -6,6 +6,7 @@ file is refused only when nothing sensible can be made of it, or when most of it
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -15,6 +16,8 @@ from geoorbit_ros.core.errors import InputFileError
 MAX_LEFT_OUT_SHARE = 0.5
 """A file of which more rows than this are left out is refused. Chosen: most of a file must be
 good before a result stands for it; smaller refuses recordings with long bad stretches."""
+
+_COMMA = re.compile(r"[-+]?[0-9]+,[0-9]+")
 
 
 class Treatment(StrEnum):
@@ -122,3 +125,13 @@ class InputReport:
             out = [r for r in faults if r.treatment is Treatment.LEFT_OUT]
             worst = max(out, key=lambda r: r.count).sentence(self.total, self.things)
             raise InputFileError(self.place, worst, expected)
+
+
+def decimal_comma(value: object) -> float | None:
+    """The number that a text with one decimal comma is; None for all else.
+
+    Three digits after the comma may be thousands, so that is none.
+    """
+    if isinstance(value, str) and _COMMA.fullmatch(value) and len(value.partition(",")[2]) != 3:
+        return float(value.replace(",", "."))
+    return None

@@ -1,15 +1,15 @@
-"""A fleet file: what it says about cameras and services, and how a camera is added to it."""
+"""A fleet file: what it says about cameras and services."""
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any
 
-import yaml
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
 from geoorbit_ros.core.addresses import (
     MASK,
@@ -19,13 +19,11 @@ from geoorbit_ros.core.addresses import (
     read_password,
     with_password,
 )
-from geoorbit_ros.core.errors import InputFileError, ParameterError
-from geoorbit_ros.core.resources import share_path
+from geoorbit_ros.core.errors import ParameterError
+from geoorbit_ros.core.input_report import InputReport, Treatment
 from geoorbit_ros.parameters import ParameterSpec, load_schema, spec_by_name
-from geoorbit_ros.storage.atomic import atomic_output
-from geoorbit_ros.storage.yaml_file import StrictModel, WrongValue, read_yaml
+from geoorbit_ros.storage.yaml_file import StrictModel, WrongValue, spell
 
-FOLDER = "params/fleets"
 MAX_CAMERAS = 1000
 """Chosen: each camera is a process of one host; more is taken for a mistake in the file."""
 
@@ -55,6 +53,18 @@ def _add_overrides(schema: dict[str, Any]) -> None:
     schema |= {"properties": nodes, "additionalProperties": False}
 
 
+def _expanded(value: object) -> object:
+    """A path or source with `~` and environment variables replaced; addresses stay as they are."""
+    if not isinstance(value, str) or is_address(value):
+        return value
+    scheme, colon, path = value.partition(":")
+    if scheme == "bag" and colon:
+        return f"bag:{os.path.expanduser(os.path.expandvars(path))}"
+    return os.path.expanduser(os.path.expandvars(value))
+
+
+FilePath = Annotated[Path, BeforeValidator(_expanded)]
+"""A path; relative ones start at the fleet file."""
 IDENTIFIER = r"^[A-Za-z][A-Za-z0-9_]*$"
 """What ROS 2 takes in a namespace (REP-144 for names, design article on topic names)."""
 Identifier = Annotated[str, Field(pattern=IDENTIFIER)]
@@ -99,11 +109,11 @@ class Camera(StrictModel):
     """
 
     id: Identifier
-    source: str = Field(min_length=1)
-    password_file: Path | None = None
+    source: Annotated[str, BeforeValidator(_expanded)] = Field(min_length=1)
+    password_file: FilePath | None = None
     password_variable: str | None = None
-    calibration: Path | None = None
-    model: Path | None = None
+    calibration: FilePath | None = None
+    model: FilePath | None = None
     image_size: tuple[Pixels, Pixels] | None = None
     datum: Position | None = None
     position: Position | None = None
@@ -120,7 +130,7 @@ class Camera(StrictModel):
         return "file" if start is None else start[1]
 
     @model_validator(mode="after")
-    def _complete(self) -> Camera:
+    def _complete(self, info: ValidationInfo) -> Camera:
         if self.kind in ("bag", "scene") and not self.source.partition(":")[2]:
             wanted = "bag:FOLDER" if self.kind == "bag" else "scene:NAME"
             raise WrongValue(("source",), repr(self.source), wanted)
@@ -135,7 +145,7 @@ class Camera(StrictModel):
         if self.kind == "bag" and self.model is not None:
             found = f"'{self.model}' beside recorded boxes"
             raise WrongValue(("model",), found, "no model, or a source with images")
-        check_overrides(self.parameters, CAMERA_NODES)
+        check_overrides(self.parameters, CAMERA_NODES, info.context)
         return self
 
     def _check_address(self) -> None:
@@ -187,8 +197,8 @@ class FederatedServer(Service):
     parameters: dict[str, Value] = _parameters_of("federated_server")
 
     @model_validator(mode="after")
-    def _known(self) -> FederatedServer:
-        check_parameters(self.parameters, "federated_server")
+    def _known(self, info: ValidationInfo) -> FederatedServer:
+        check_parameters(self.parameters, "federated_server", report=info.context)
         return self
 
 
@@ -199,12 +209,12 @@ class Twin(Service):
         network: A SUMO network (`.net.xml`).
     """
 
-    network: Path
+    network: FilePath
     parameters: dict[str, Value] = _parameters_of("sumo_bridge")
 
     @model_validator(mode="after")
-    def _known(self) -> Twin:
-        check_parameters(self.parameters, "sumo_bridge")
+    def _known(self, info: ValidationInfo) -> Twin:
+        check_parameters(self.parameters, "sumo_bridge", report=info.context)
         return self
 
 
@@ -217,14 +227,14 @@ class Carla(Service):
         port: Its port.
     """
 
-    opendrive: Path
+    opendrive: FilePath
     host: str = "localhost"
     port: int = Field(default=2000, ge=1, le=65535)
     parameters: dict[str, Value] = _parameters_of("carla_bridge")
 
     @model_validator(mode="after")
-    def _known(self) -> Carla:
-        check_parameters(self.parameters, "carla_bridge")
+    def _known(self, info: ValidationInfo) -> Carla:
+        check_parameters(self.parameters, "carla_bridge", report=info.context)
         return self
 
 
@@ -236,7 +246,7 @@ class Recorder(StrictModel):
     """
 
     enabled: bool = True
-    folder: Path = Path("recordings")
+    folder: FilePath = Path("recordings")
 
 
 class Viewer(StrictModel):
@@ -285,6 +295,16 @@ class Fleet(StrictModel):
         return self
 
 
+SERVICE_MODELS: dict[str, type[StrictModel]] = {
+    "federated_server": FederatedServer,
+    "twin": Twin,
+    "carla": Carla,
+    "recorder": Recorder,
+    "viewer": Viewer,
+}
+"""What cameras share, by the file's keys."""
+
+
 def node_parameters(node: str) -> tuple[ParameterSpec, ...]:
     """The parameters of a node that a fleet file can name.
 
@@ -296,22 +316,35 @@ def node_parameters(node: str) -> tuple[ParameterSpec, ...]:
     return load_schema(node)
 
 
-def check_overrides(overrides: Mapping[str, Mapping[str, Value]], nodes: tuple[str, ...]) -> None:
-    """Check parameters by node against the nodes' schemas.
+def check_overrides(
+    overrides: Mapping[str, dict[str, Value]],
+    nodes: tuple[str, ...],
+    report: InputReport | None = None,
+) -> None:
+    """Check parameters by node against the nodes' schemas, and give them their types.
 
     Raises:
         WrongValue: No such node or parameter, or a value that the parameter can't have.
     """
     for node, values in overrides.items():
         if node not in nodes:
-            raise WrongValue(("parameters", node), "an unknown node", f"one of {', '.join(nodes)}")
-        check_parameters(values, node, ("parameters", node))
+            raise WrongValue(("parameters", node), "an unknown node", one_of(node, nodes))
+        check_parameters(values, node, ("parameters", node), report)
 
 
 def check_parameters(
-    values: Mapping[str, Value], node: str, key: tuple[str, ...] = ("parameters",)
+    values: dict[str, Value],
+    node: str,
+    key: tuple[str, ...] = ("parameters",),
+    report: InputReport | None = None,
 ) -> None:
-    """Check one node's parameters.
+    """Check one node's parameters, and give them their types.
+
+    Args:
+        values: By name; changed in place where a value is written in another way than its type.
+        node: The node.
+        key: Where they stand in the file.
+        report: Takes what is not written as its type.
 
     Raises:
         WrongValue: No such parameter, or a value that it can't have.
@@ -319,157 +352,18 @@ def check_parameters(
     specs = spec_by_name(node) if values else {}
     for name, value in values.items():
         if name not in specs:
-            known = ", ".join(sorted(specs))
-            raise WrongValue((*key, name), "an unknown parameter", f"one of {known}")
+            raise WrongValue((*key, name), "an unknown parameter", one_of(name, specs))
         try:
-            specs[name].checked(value, node)
+            checked = specs[name].checked(value, node)
         except ParameterError as error:
             raise WrongValue((*key, name), error.found, error.expected) from error
+        if report is not None and isinstance(value, str) and checked != value:
+            text = f"{spell((*key, name))}: {value!r} is read as {checked}"
+            report.note(Treatment.REPAIRED, text)
+        values[name] = checked
 
 
-def shipped_fleets() -> list[str]:
-    """Names of the fleets that come with the package."""
-    return sorted(file.stem for file in share_path(FOLDER).glob("*.yaml"))
-
-
-def load_fleet(path: str | Path) -> tuple[Fleet, Path]:
-    """Read a fleet file, or a shipped fleet by its bare name.
-
-    Returns:
-        The fleet, and the file it was read from: its relative paths start there.
-
-    Raises:
-        InputFileError: No such file, or a value that a fleet can't have, with its line and key.
-    """
-    file = Path(path)
-    if not file.suffix and str(path) == file.name and not file.is_file():
-        if file.name not in shipped_fleets():
-            expected = f"a file, or one of {', '.join(shipped_fleets())}"
-            raise InputFileError(f"fleet '{path}'", "no such fleet", expected)
-        file = share_path(f"{FOLDER}/{path}.yaml")
-    return read_yaml(file, Fleet, "fleet"), file
-
-
-def add_camera(file: Path, entry: Mapping[str, object], *, replace: bool = False) -> Fleet:
-    """Add an entry after the last camera of a fleet file, or write a new file.
-
-    Comments and order of the file stay. The result is read back before it replaces the file. A new
-    fleet is named after its file.
-
-    Args:
-        file: The fleet file.
-        entry: The camera's keys and values; paths relative to the file.
-        replace: Whether it takes the place of a camera with the same id, where there is one.
-
-    Raises:
-        InputFileError: The file is no fleet file, already has this camera, or would be wrong with
-            it; then it is left as it was.
-    """
-    camera_id = str(entry["id"])
-    check_new_camera(file, camera_id, replace=replace)
-    if file.exists():
-        text = file.read_text(encoding="utf-8").rstrip("\n") + "\n"
-        known = camera_id in [camera.id for camera in load_fleet(file)[0].cameras]
-        text = _exchanged(text, camera_id, entry) if known else _inserted(text, entry)
-    else:
-        text = f"name: {_fleet_name(file)}\ncameras:\n{_item(entry, '  ')}"
-    with atomic_output(file) as path:
-        path.write_text(text, encoding="utf-8")
-        return load_fleet(path)[0]
-
-
-def remove_camera(file: Path, camera_id: str) -> Fleet:
-    """Take a camera out of a fleet file; comments and order of the rest stay.
-
-    Raises:
-        InputFileError: The file is no fleet file, has no such camera, or none but this one; then it
-            is left as it was.
-    """
-    cameras = [camera.id for camera in load_fleet(file)[0].cameras]
-    if camera_id not in cameras:
-        raise InputFileError(str(file), f"no camera '{camera_id}'", f"one of {', '.join(cameras)}")
-    if len(cameras) == 1:
-        expected = "another camera, which a fleet needs; delete the file to end the fleet"
-        raise InputFileError(str(file), f"only camera '{camera_id}'", expected)
-    text = _exchanged(file.read_text(encoding="utf-8").rstrip("\n") + "\n", camera_id, None)
-    with atomic_output(file) as path:
-        path.write_text(text, encoding="utf-8")
-        return load_fleet(path)[0]
-
-
-def check_new_camera(file: Path, camera_id: str, *, replace: bool = False) -> None:
-    """Refuse a camera whose id can't be, or that a fleet file has already, unless `replace`.
-
-    Raises:
-        ParameterError: Such an id.
-        InputFileError: The file has it, or is no fleet file; one that isn't there has none.
-    """
-    if not re.match(IDENTIFIER, camera_id):
-        expected = "a letter, then letters, digits or underscores, as in ROS 2 names"
-        raise ParameterError("option --camera-id", repr(camera_id), expected)
-    if not file.exists():
-        return
-    known = camera_id in [camera.id for camera in load_fleet(file)[0].cameras]
-    if known and not replace:
-        expected = "another id, or --replace"
-        raise InputFileError(str(file), f"camera '{camera_id}' is there already", expected)
-
-
-def relative(path: Path, file: Path) -> str:
-    """A path as a fleet file names it."""
-    return os.path.relpath(path.absolute(), file.absolute().parent)
-
-
-def _fleet_name(file: Path) -> str:
-    """A file's name as a name that ROS 2 takes."""
-    name = re.sub(r"\W", "_", file.stem, flags=re.ASCII)
-    return name if re.match(IDENTIFIER, name) else f"fleet_{name}"
-
-
-def _inserted(text: str, entry: Mapping[str, object]) -> str:
-    """The file's text with another camera after the last one."""
-    cameras, lines = _cameras(text)
-    end = _span(cameras.value[-1], lines)[1]
-    indent = " " * cameras.start_mark.column
-    return "".join([*lines[:end], _item(entry, indent), *lines[end:]])
-
-
-def _exchanged(text: str, camera_id: str, entry: Mapping[str, object] | None) -> str:
-    """The file's text with another entry in the place of a camera, or with nothing there."""
-    cameras, lines = _cameras(text)
-    item = next(node for node in cameras.value if camera_id == _id_of(node))
-    start, end = _span(item, lines)
-    indent = " " * cameras.start_mark.column
-    new = [] if entry is None else [_item(entry, indent)]
-    return "".join([*lines[:start], *new, *lines[end:]])
-
-
-def _cameras(text: str) -> tuple[yaml.SequenceNode, list[str]]:
-    """The list of cameras in a fleet file's text, and the text's lines."""
-    root = yaml.compose(text, Loader=yaml.SafeLoader)
-    assert isinstance(root, yaml.MappingNode)  # it was read as a fleet
-    cameras = next(value for key, value in root.value if key.value == "cameras")
-    if cameras.flow_style:
-        raise InputFileError(
-            "fleet file, key 'cameras'", "a list in brackets", "one camera per '-'"
-        )
-    return cameras, text.splitlines(keepends=True)
-
-
-def _id_of(camera: yaml.MappingNode) -> str:
-    return next((str(value.value) for key, value in camera.value if key.value == "id"), "")
-
-
-def _span(camera: yaml.MappingNode, lines: list[str]) -> tuple[int, int]:
-    """First line of a camera's entry and the one after its last, comments behind it left out."""
-    start = camera.start_mark.line
-    end = camera.end_mark.line + int(bool(camera.flow_style))
-    while end > start and not lines[end - 1].strip(" \n").partition("#")[0].strip():
-        end -= 1  # comments and empty lines that follow belong to what comes next
-    return start, end
-
-
-def _item(entry: Mapping[str, object], indent: str) -> str:
-    body = yaml.safe_dump(dict(entry), sort_keys=False, allow_unicode=True, default_flow_style=None)
-    first, *rest = body.splitlines()
-    return "".join([f"{indent}- {first}\n", *(f"{indent}  {line}\n" for line in rest)])
+def one_of(name: str, known: Iterable[str]) -> str:
+    """What a name should have been: the nearest one, or all of them."""
+    close = get_close_matches(name, list(known), n=1)
+    return f"'{close[0]}'?" if close else f"one of {', '.join(sorted(known))}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -320,22 +320,52 @@ def _model(camera: Camera, base: Path) -> str:
 
 
 def _check_files(fleet: Fleet, base: Path) -> None:
-    missing = []
+    missing = missing_files(fleet, base)
+    if missing:
+        named = "; no ".join(f"{name}: {file}" for name, files in missing.items() for file in files)
+        raise FleetPlanError("fleet files", f"no {named}", "files that exist")
+
+
+def missing_files(fleet: Fleet, base: Path) -> dict[str, list[Path]]:
+    """Files that the fleet names and that are not there, by camera or service.
+
+    Args:
+        fleet: The fleet.
+        base: Folder that relative paths in the fleet file start from.
+    """
+    files: dict[str, list[Path]] = {}
     for camera in fleet.cameras:
         if not camera.enabled:
             continue
-        files = [camera.calibration, camera.password_file]
+        own = [f for f in (camera.calibration, camera.password_file) if f is not None]
+        files[camera.id] = own
         if camera.model is not None and str(camera.model) not in registered("detector"):
-            files.append(Path(plugin_file(str(camera.model))))
+            own.append(Path(plugin_file(str(camera.model))))
         if camera.kind == "bag":
-            files.append(Path(camera.source.partition(":")[2]))
+            own.append(Path(camera.source.partition(":")[2]))
         elif camera.kind == "file":
-            files.append(Path(local_path(camera.source)))
-        lacking = [base / masked(str(f)) for f in files if f and not (base / f).exists()]
-        missing += [f"{camera.id}: {name}" for name in lacking]
-    if fleet.twin and fleet.twin.enabled and not (base / fleet.twin.network).exists():
-        missing.append(f"twin: {base / fleet.twin.network}")
-    if fleet.carla and fleet.carla.enabled and not (base / fleet.carla.opendrive).exists():
-        missing.append(f"carla: {base / fleet.carla.opendrive}")
-    if missing:
-        raise FleetPlanError("fleet files", f"no {'; no '.join(missing)}", "files that exist")
+            own.append(Path(local_path(camera.source)))
+    if fleet.twin and fleet.twin.enabled:
+        files[TWIN] = [fleet.twin.network]
+    if fleet.carla and fleet.carla.enabled:
+        files[CARLA] = [fleet.carla.opendrive]
+    missing = {
+        name: [base / masked(str(file)) for file in own if not (base / file).exists()]
+        for name, own in files.items()
+    }
+    return {name: own for name, own in missing.items() if own}
+
+
+def without(fleet: Fleet, names: Collection[str]) -> Fleet:
+    """The fleet without some cameras and services; without its twin, CARLA shows nothing.
+
+    Raises:
+        FleetPlanError: No camera is left.
+    """
+    gone = {*names, *({CARLA} if TWIN in names else ())}
+    cameras = [camera for camera in fleet.cameras if camera.id not in gone]
+    if not cameras:
+        raise FleetPlanError("fleet", "no camera that can be used", "one or more")
+    changed: dict[str, object] = {"cameras": cameras}
+    changed |= dict.fromkeys((name for name in SERVICES if name in gone), None)
+    return fleet.model_copy(update=changed)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Sequence
+from collections.abc import Container, Mapping, Sequence
 from pathlib import Path
 
+from geoorbit_ros.core.errors import GeoOrbitError, InputFileError, ParameterError
+from geoorbit_ros.core.input_report import InputReport, Treatment
 from geoorbit_ros.federated.keys import Signer, read_private_key, write_private_key
 from geoorbit_ros.fleet.fleet_file import Camera, Fleet
 from geoorbit_ros.fleet.plan import (
@@ -13,19 +15,73 @@ from geoorbit_ros.fleet.plan import (
     FederationKeys,
     ProcessPlan,
     calibration_file,
+    image_size,
     image_source,
     make_folders,
+    missing_files,
     plan_fleet,
     select,
+    without,
 )
 from geoorbit_ros.rendering.frame_source import SCENES, SceneFrames
 from geoorbit_ros.scenes.output import calibration_text
 from geoorbit_ros.storage.atomic import atomic_output
+from geoorbit_ros.storage.bag_reader import describe_bag
 from geoorbit_ros.storage.frames.open_source import open_frame_source
 from geoorbit_ros.storage.frames.source import FrameSourceError, LeftOut, SourceOptions
+from geoorbit_ros.storage.playback import played_topics
 
 
-def ask_sources(fleet: Fleet, base: Path, output: Path, chosen: Container[str]) -> Fleet:
+def leave_out(fleet: Fleet, faults: Mapping[str, str], report: InputReport) -> Fleet:
+    """The fleet without the cameras and services that have a fault.
+
+    Args:
+        fleet: The fleet.
+        faults: What is wrong with them, by name.
+        report: Takes it; refuses the fleet when most of its cameras are left out.
+
+    Raises:
+        InputFileError: It is refused.
+    """
+    cameras = {camera.id for camera in fleet.cameras}
+    for name, fault in faults.items():
+        if name in cameras:
+            report.add(Treatment.LEFT_OUT, 1, f"{name}: {fault}")
+        else:
+            report.note(Treatment.LEFT_OUT, f"{name} is left out: {fault}")
+    report.check(strict=False, expected="a fleet of which most cameras can be used")
+    return without(fleet, faults) if faults else fleet
+
+
+def leave_out_missing(fleet: Fleet, base: Path, report: InputReport) -> Fleet:
+    """The fleet without what names files or passwords that are not there.
+
+    Args:
+        fleet: The fleet.
+        base: Folder that relative paths in the fleet file start from.
+        report: Takes what is left out.
+
+    Raises:
+        InputFileError: Most cameras are.
+    """
+    missing = missing_files(fleet, base)
+    faults = {name: f"no {', no '.join(map(str, files))}" for name, files in missing.items()}
+    for camera in fleet.cameras:
+        try:
+            if camera.enabled and camera.id not in faults:
+                camera.address(base)
+        except ParameterError as error:  # no password where it should be
+            faults[camera.id] = str(error)
+    return leave_out(fleet, faults, report)
+
+
+def ask_sources(
+    fleet: Fleet,
+    base: Path,
+    output: Path,
+    chosen: Container[str],
+    report: InputReport | None = None,
+) -> Fleet:
     """The fleet with the image sizes of chosen cameras; writes calibrations of made-up ones.
 
     Args:
@@ -33,18 +89,36 @@ def ask_sources(fleet: Fleet, base: Path, output: Path, chosen: Container[str]) 
         base: Folder that relative paths in the fleet file start from.
         output: Made-up cameras' control points go to `calibration/<camera>.csv` in it.
         chosen: Ids of the cameras to ask.
+        report: Takes cameras that can't be used, which are left out; None: the first is refused.
 
     Raises:
-        GeoOrbitError: A video, folder or scene that can't be opened.
+        GeoOrbitError: A video, folder, bag or scene that can't be opened.
     """
-    cameras = []
+    cameras, faults = [], {}
     for camera in fleet.cameras:
-        if camera.id in chosen and camera.kind in ("scene", "file"):
-            size = (_ask_scene if camera.kind == "scene" else _ask_file)(camera, base, output)
-            cameras.append(camera.model_copy(update={"image_size": size}))
-        else:
+        ask = _ASK.get(camera.kind) if camera.id in chosen else None
+        try:
+            update = {"image_size": ask(camera, base, output)} if ask else {}
+            cameras.append(camera.model_copy(update=update))
+        except GeoOrbitError as error:
+            if report is None:
+                raise
+            faults[camera.id] = str(error)
             cameras.append(camera)
-    return fleet.model_copy(update={"cameras": cameras})
+    fleet = fleet.model_copy(update={"cameras": cameras})
+    return fleet if report is None else leave_out(fleet, faults, report)
+
+
+def _ask_bag(camera: Camera, base: Path, _output: Path) -> tuple[int, int]:
+    """A bag does not tell the size of its images; but whether it has boxes of one camera."""
+    path = base / camera.source.partition(":")[2]
+    only = str(camera.parameters.get("bag_player", {}).get("topics", "")).split()
+    topics = [t.name for t in describe_bag(path).topics if not only or t.name in only]
+    played = played_topics(topics, camera.id, str(path))
+    if f"/{camera.id}/tracks_px" not in played.values():
+        found = f"only {', '.join(topics)}" if topics else "no topic"
+        raise InputFileError(str(path), found, "a topic of tracked boxes, /CAMERA/tracks_px")
+    return image_size(camera)
 
 
 def _ask_scene(camera: Camera, base: Path, output: Path) -> tuple[int, int]:
@@ -72,8 +146,16 @@ def _ask_file(camera: Camera, base: Path, _output: Path) -> tuple[int, int]:
     raise FrameSourceError(source.name, found, "at least one that can")
 
 
+_ASK = {"scene": _ask_scene, "file": _ask_file, "bag": _ask_bag}
+"""How to look at a source, by its kind; streams are opened by their nodes."""
+
+
 def prepare(
-    fleet: Fleet, base: Path, output: Path, only: Sequence[str] = ()
+    fleet: Fleet,
+    base: Path,
+    output: Path,
+    only: Sequence[str] = (),
+    report: InputReport | None = None,
 ) -> tuple[ProcessPlan, ...]:
     """Look at the sources, make folders and keys, and return the plan to run.
 
@@ -82,18 +164,21 @@ def prepare(
         base: Folder that relative paths in the fleet file start from.
         output: Folder of logs, recordings and state.
         only: Names of the processes to run; none: all.
+        report: Takes cameras that can't be used, which are left out; None: the first is refused.
 
     Raises:
         GeoOrbitError: A file, source or key that can't be used.
     """
     chosen = {plan.name for plan in select(plan_fleet(fleet, base, output), only)}
-    fleet = ask_sources(fleet, base, output, chosen)
+    fleet = ask_sources(fleet, base, output, chosen, report)
     make_folders(fleet, output)
     keys = None
     if fleet.federated_server and fleet.federated_server.enabled:
         names = [camera.id for camera in fleet.cameras if camera.enabled]
         keys = federation_keys(output / "keys", names)
-    return select(plan_fleet(fleet, base, output, keys), only)
+    plans = plan_fleet(fleet, base, output, keys)
+    left = {plan.name for plan in plans}
+    return select(plans, [name for name in only if name in left] if report else only)
 
 
 def federation_keys(folder: Path, camera_ids: Sequence[str]) -> FederationKeys:

@@ -5,20 +5,26 @@ What is wrong is said in one sentence with file, line, key, value and expectatio
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
 
+from geoorbit_ros.core.addresses import masked_text
 from geoorbit_ros.core.errors import InputFileError
+from geoorbit_ros.core.input_report import InputReport, Treatment, decimal_comma
 
 Model = TypeVar("Model", bound=BaseModel)
 Key = tuple[str | int, ...]
 """Keys and list positions on the way from the file's top to a value."""
 
+_UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 _EXPECTED = {
     **dict.fromkeys(("int_type", "int_parsing", "int_from_float"), "a whole number"),
     **dict.fromkeys(("float_type", "float_parsing", "finite_number"), "a finite number"),
@@ -52,33 +58,202 @@ def spell(key: Iterable[str | int]) -> str:
 
 
 class StrictModel(BaseModel):
-    """Immutable, without unknown keys, NaN or infinities."""
+    """Immutable, without unknown keys, NaN or infinities.
+
+    With an `InputReport` as validation context, a number with a decimal comma is read as one.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _decimal_comma(cls, value: object, info: ValidationInfo) -> object:
+        kind = cls.model_fields[info.field_name].annotation if info.field_name else None
+        report = info.context
+        if not isinstance(report, InputReport) or kind not in (float, float | None):
+            return value
+        number = decimal_comma(value)
+        if number is None:
+            return value
+        text = f"{info.field_name}: {value!r} is read as {number:g}"
+        report.note(Treatment.REPAIRED, text)
+        return number
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML 1.2's core schema (https://yaml.org/spec/1.2.2/#103-core-schema), each key once.
+
+    In YAML 1.1, which PyYAML reads by itself, `no` is false, `010` is eight, `12:30` is 750, and
+    the last of two equal keys counts.
+    """
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """A mapping whose keys differ."""
+        lines: dict[object, int] = {}
+        for key, _ in node.value:
+            line = key.start_mark.line + 1
+            if key.value in lines and key.tag != "tag:yaml.org,2002:merge":
+                problem = f"key '{key.value}' a second time, first in line {lines[key.value]}"
+                raise yaml.MarkedYAMLError(problem=problem, problem_mark=key.start_mark)
+            lines[key.value] = line
+        return super().construct_mapping(node, deep)
+
+
+def _whole(loader: yaml.SafeLoader, node: yaml.ScalarNode) -> int:
+    text = loader.construct_scalar(node)
+    return int(text, 0) if text[:2] in ("0x", "0o") else int(text)
+
+
+def _number(loader: yaml.SafeLoader, node: yaml.ScalarNode) -> float:
+    return float(loader.construct_scalar(node).replace(".inf", "inf").replace(".nan", "nan"))
+
+
+_CORE: tuple[tuple[str, str, str], ...] = (
+    ("bool", "true|True|TRUE|false|False|FALSE", "tTfF"),
+    ("int", "[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+", "-+0123456789"),
+    (
+        "float",
+        r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)",
+        "-+0123456789.",
+    ),
+    ("null", "~|null|Null|NULL|", "~nN\0"),
+    ("merge", "<<", "<"),
+)
+"""Tags of YAML's core schema, what is written for them, and how that may begin."""
+_Loader.yaml_implicit_resolvers = {}
+for _tag, _form, _begins in _CORE:
+    _name = f"tag:yaml.org,2002:{_tag}"
+    first = [letter if letter != "\0" else "" for letter in _begins]
+    _Loader.add_implicit_resolver(_name, re.compile(f"^({_form})$"), first)
+_Loader.add_constructor("tag:yaml.org,2002:int", _whole)
+_Loader.add_constructor("tag:yaml.org,2002:float", _number)
+
+
+@dataclass(frozen=True, slots=True)
+class YamlText:
+    """A YAML file as it was read.
+
+    Attributes:
+        file: Its path, for messages.
+        kind: What such a file is called, for messages.
+        text: Its text.
+        content: Its keys and values.
+    """
+
+    file: str
+    kind: str
+    text: str
+    content: dict[str, Any]
+
+    def checked(
+        self,
+        model: type[Model],
+        content: object,
+        report: InputReport | None = None,
+        prefix: Key = (),
+    ) -> Model:
+        """A part of the file as a model.
+
+        Args:
+            model: What it must be.
+            content: The part.
+            report: Takes what was repaired; None repairs nothing.
+            prefix: Where it stands in the file.
+
+        Raises:
+            InputFileError: The first value that the model refuses.
+        """
+        try:
+            return model.model_validate(content, context=report)
+        except ValidationError as error:
+            raise self._wrong_value(error, _keys(model), prefix) from error
+
+    def refusal(self, key: Key, found: str, expected: str) -> InputFileError:
+        """An error that names the line and the key of a value."""
+        line, key = _find(self.text, key)
+        place = f"{self.file}, line {line}" + (f", key '{spell(key)}'" if key else "")
+        return InputFileError(place, found, expected)
+
+    def _wrong_value(
+        self, error: ValidationError, known_keys: list[str], prefix: Key
+    ) -> InputFileError:
+        errors = error.errors()
+        # A misspelt key is also a missing one: say what was spelt.
+        unknown = [e for e in errors if e["type"] == "invalid_key"]
+        unknown += [e for e in errors if e["type"] == "extra_forbidden"]
+        first = (unknown or errors)[0]
+        cause = first.get("ctx", {}).get("error")
+        if isinstance(cause, WrongValue):
+            key, found, expected = (*first["loc"], *cause.key), str(cause.found), cause.expected
+        else:
+            key = first["loc"]
+            found, expected = _words(first, self.kind, known_keys)
+        return self.refusal((*prefix, *key), found, expected)
 
 
 def read_yaml(file: Path, model: type[Model], kind: str) -> Model:
     """Read a file and check it.
 
     Args:
-        file: In UTF-8.
+        file: In UTF-8 or UTF-16.
         model: What it must be.
         kind: What such a file is called, for messages: `scene`, `fleet`.
 
     Raises:
         InputFileError: No such file, broken YAML, or the first value that the model refuses.
     """
+    text = read_text(file, kind)
+    return text.checked(model, text.content)
+
+
+def read_text(file: Path, kind: str, report: InputReport | None = None) -> YamlText:
+    """Read a file as keys with values. Top keys that begin with `x-`, for anchors, are left out.
+
+    Args:
+        file: In UTF-8 or UTF-16.
+        kind: What such a file is called, for messages.
+        report: Takes what was repaired; None repairs nothing.
+
+    Raises:
+        InputFileError: No such file, broken YAML, or something else than keys with values.
+    """
+    expected = f"a {kind} file in YAML"
     try:
-        text = file.read_text(encoding="utf-8-sig")
+        data = file.read_bytes()
+        text = data.decode("utf-16" if data[:2] in _UTF_16 else "utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         reason = (isinstance(error, OSError) and error.strerror) or "no text in UTF-8"
-        raise InputFileError(str(file), reason.lower(), f"a {kind} file in YAML") from error
+        raise InputFileError(str(file), reason.lower(), expected) from error
     try:
-        return model.model_validate(yaml.safe_load(text))
+        content = _load(text)
     except yaml.YAMLError as error:
-        raise _broken_yaml(error, str(file), kind) from error
-    except ValidationError as error:
-        raise _wrong_value(error, text, str(file), kind, _keys(model)) from error
+        spaced = _without_tabs(text) if report is not None else None
+        if spaced is None or report is None:
+            raise _broken_yaml(error, str(file), kind) from error
+        text, content = spaced, _load(spaced)
+        report.note(Treatment.REPAIRED, "tabs in the indentation are read as blanks")
+    if content is None:
+        raise InputFileError(str(file), "an empty file", expected)
+    if not isinstance(content, dict):
+        found = "a list" if isinstance(content, list) else "a text without keys"
+        raise InputFileError(str(file), found, f"{expected}: keys with values, such as 'name: …'")
+    kept = {str(key): value for key, value in content.items() if not str(key).startswith("x-")}
+    return YamlText(str(file), kind, text, kept)
+
+
+def _load(text: str) -> object:
+    return yaml.load(text, Loader=_Loader)
+
+
+def _without_tabs(text: str) -> str | None:
+    """The text with blanks for tabs, where it means one thing however wide they are."""
+    found: list[tuple[str, object]] = []
+    for width in (2, 4, 8):
+        spaced = text.expandtabs(width)
+        with suppress(yaml.YAMLError):  # then it does not mean the same
+            found.append((spaced, _load(spaced)))
+    same = bool(found) and all(content == found[0][1] for _, content in found)
+    return found[0][0] if same and "\t" in text else None
 
 
 def _keys(model: type[BaseModel]) -> list[str]:
@@ -93,36 +268,24 @@ def _broken_yaml(error: yaml.YAMLError, file: str, kind: str) -> InputFileError:
     if isinstance(error, yaml.MarkedYAMLError):
         mark, problem = error.problem_mark, error.problem
     place = f"{file}, line {mark.line + 1}" if mark else file
+    if problem and problem.startswith("key "):
+        return InputFileError(place, problem, "each key once")
+    if problem and "'\\t'" in problem:
+        return InputFileError(place, "a tab in the indentation", f"blanks, as in a {kind} file")
     found = f"broken YAML ({problem})" if problem else "broken YAML"
     return InputFileError(place, found, f"a {kind} file")
-
-
-def _wrong_value(
-    error: ValidationError, text: str, file: str, kind: str, known_keys: list[str]
-) -> InputFileError:
-    errors = error.errors()
-    # A misspelt key is also a missing one: say what was spelt.
-    unknown = [e for e in errors if e["type"] == "extra_forbidden"]
-    first = (unknown or errors)[0]
-    cause = first.get("ctx", {}).get("error")
-    if isinstance(cause, WrongValue):
-        key, found, expected = (*first["loc"], *cause.key), str(cause.found), cause.expected
-    else:
-        key = first["loc"]
-        found, expected = _words(first, kind, known_keys)
-    line, key = _find(text, key)
-    place = f"{file}, line {line}" + (f", key '{spell(key)}'" if key else "")
-    return InputFileError(place, found, expected)
 
 
 def _words(error: Mapping[str, Any], kind: str, known_keys: list[str]) -> tuple[str, str]:
     """What was found and expected, from pydantic's error."""
     if error["type"] == "missing" or error["input"] is None:
         return "nothing", _EXPECTED.get(error["type"], "a value")
+    if error["type"] == "invalid_key":
+        return f"the key {error['input']}", "a word (in braces a comma separates: write 43.25)"
     if error["type"] == "extra_forbidden":
         close = get_close_matches(str(error["loc"][-1]), known_keys, n=1)
         return "an unknown key", f"'{close[0]}'?" if close else f"a key that {kind} files have"
-    value = repr(error["input"])
+    value = masked_text(repr(error["input"]))
     value = value if len(value) <= 60 else f"{value[:60]}..."
     return value, _EXPECTED.get(error["type"], error["msg"].removeprefix("Input should be "))
 
@@ -132,7 +295,7 @@ def _find(text: str, key: Sequence[str | int]) -> tuple[int, Key]:
 
     Pydantic puts names of union members between the keys; the file has none of them.
     """
-    node = yaml.compose(text, Loader=yaml.SafeLoader)
+    node = yaml.compose(text, Loader=_Loader)
     line, found = 1, []
     for part in key:
         child = None

@@ -20,7 +20,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.conversions import decode_string, message_class
-from geoorbit_ros.fleet.fleet_file import load_fleet
+from geoorbit_ros.fleet.fleet_io import load_fleet
 from geoorbit_ros.fleet.prepare import prepare
 from geoorbit_ros.nodes.support.composition import Composition
 from geoorbit_ros.nodes.support.fleet_process import node_class

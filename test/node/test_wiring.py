@@ -11,7 +11,7 @@ import pytest
 from made_up_camera import MadeUpCamera
 
 from geoorbit_ros.core.errors import ParameterError
-from geoorbit_ros.fleet.fleet_file import load_fleet
+from geoorbit_ros.fleet.fleet_io import load_fleet
 from geoorbit_ros.fleet.plan import plan_fleet
 from geoorbit_ros.nodes.bag_player import BagPlayerNode
 from geoorbit_ros.nodes.camera import CameraNode

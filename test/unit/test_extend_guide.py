@@ -11,7 +11,7 @@ from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.core.tables import DETECTION_DTYPE
 from geoorbit_ros.detection.detector import make_detector
 from geoorbit_ros.federated.strategies.strategy import make_strategy
-from geoorbit_ros.fleet.fleet_file import load_fleet
+from geoorbit_ros.fleet.fleet_io import load_fleet
 from geoorbit_ros.fleet.plan import chosen_plugins, plan_fleet
 from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.lanes.geojson import read_lanes

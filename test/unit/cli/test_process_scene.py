@@ -17,7 +17,7 @@ from mjpeg_server import MjpegServer
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.cli.main import main
 from geoorbit_ros.cli.signals import EXIT_INTERRUPTED
-from geoorbit_ros.fleet.fleet_file import load_fleet
+from geoorbit_ros.fleet.fleet_io import load_fleet
 from geoorbit_ros.lanes.geojson import read_lane_file, read_lanes
 from geoorbit_ros.metrics.score import score_lanes
 from geoorbit_ros.rendering.output import write_rendered_scene

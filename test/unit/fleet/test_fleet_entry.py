@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from geoorbit_ros.core.errors import InputFileError, ParameterError
-from geoorbit_ros.fleet.fleet_file import (
+from geoorbit_ros.fleet.fleet_io import (
     add_camera,
     check_new_camera,
     relative,

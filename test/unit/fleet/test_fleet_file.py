@@ -10,7 +10,8 @@ import yaml
 
 from geoorbit_ros.core.errors import InputFileError
 from geoorbit_ros.core.resources import share_path
-from geoorbit_ros.fleet.fleet_file import CAMERA_NODES, Fleet, load_fleet, shipped_fleets
+from geoorbit_ros.fleet.fleet_file import CAMERA_NODES, Fleet
+from geoorbit_ros.fleet.fleet_io import load_fleet, shipped_fleets
 from geoorbit_ros.fleet.plan import (
     FleetPlanError,
     ProcessPlan,

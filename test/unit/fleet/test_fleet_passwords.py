@@ -12,7 +12,7 @@ from geoorbit_ros.cli.camera import _password
 from geoorbit_ros.cli.main import EXIT_BAD_INPUT, main
 from geoorbit_ros.cli.process import _name
 from geoorbit_ros.core.errors import InputFileError, ParameterError
-from geoorbit_ros.fleet.fleet_file import load_fleet
+from geoorbit_ros.fleet.fleet_io import load_fleet
 from geoorbit_ros.fleet.plan import ProcessPlan, plan_fleet
 from geoorbit_ros.fleet.supervisor import Supervisor
 

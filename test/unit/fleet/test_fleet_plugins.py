@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from geoorbit_ros.cli.main import main
-from geoorbit_ros.fleet.fleet_file import load_fleet
+from geoorbit_ros.fleet.fleet_io import load_fleet
 from geoorbit_ros.fleet.plan import chosen_plugins, plan_fleet
 
 FLEET = """
@@ -89,7 +89,7 @@ def test_a_mistake_in_a_plugin_is_told_before_anything_starts(
     text = path.read_text(encoding="utf-8")
     assert old in text
     path.write_text(text.replace(old, new), encoding="utf-8")
-    assert main(["up", str(fleet)]) == 2
+    assert main(["up", str(fleet), "--strict"]) == 2
     error = capsys.readouterr().err
     assert said in error
     assert Path(file).name in error

@@ -124,10 +124,10 @@ def test_a_wrong_value_is_named_with_file_line_and_key(
 @pytest.mark.parametrize(
     ("content", "sentence"),
     [
-        (b"", "line 1: found nothing, expected keys with values"),
-        (b"- a\n- b\n", "line 1: found ['a', 'b'], expected keys with values"),
+        (b"", "found an empty file"),
+        (b"- a\n- b\n", "found a list, expected a scene file in YAML: keys with values"),
         (b"name: x\nroads: [\n", "line 3: found broken YAML ("),
-        (b"name: x\n\troads: 1\n", "line 2: found broken YAML ("),
+        (b"name: x\n\troads: 1\n", "line 2: found a tab in the indentation"),
         (b"\xff\xfe\x00", "found no text in utf-8"),
     ],
 )
