@@ -9,18 +9,28 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
-import inspect
 import re
 import sys
-import traceback
 import types
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from functools import cache, wraps
+from difflib import get_close_matches
+from functools import cache
 from pathlib import Path
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
-from geoorbit_ros.core.errors import GeoOrbitError, ParameterError, PluginError
+from geoorbit_ros.core.errors import GeoOrbitError, ParameterError
+from geoorbit_ros.core.plugin_methods import (
+    MADE,
+    Returns,
+    called,
+    check_made,
+    guarded,
+    in_words,
+    lacking,
+    line_of,
+    members,
+    misspelt,
+)
 
 FORM = "FILE.py:CLASS"
 FOLDERS = {
@@ -33,6 +43,9 @@ FOLDERS = {
 """Folder of the package in which the classes of each kind stand."""
 FROM_FILES = ("detector", "estimator", "strategy", "tracker")
 """Kinds that take plug-ins. An encoding needs a number that server and clients agree on."""
+
+MAX_SHOWN = 8
+"""Classes of a file that an error lists. Chosen: more make it long, fewer show less."""
 
 _PACKAGE = Path(__file__).parents[1]
 _PLUGIN = re.compile(r"(?P<file>.+\.py):(?P<name>[A-Za-z_]\w*)")
@@ -49,24 +62,6 @@ class TakesSettings(Protocol):
 
     def from_settings(self, settings: Any) -> Any:
         """An object with these settings, a class method."""
-
-
-class WrongResult(Exception):  # noqa: N818 - always turned into a PluginError
-    """What a method of a plug-in returned in place of what it should."""
-
-
-@dataclass(frozen=True, slots=True)
-class Returns:
-    """What a method of a plug-in must return.
-
-    Attributes:
-        expected: In words, for errors.
-        check: Takes the plug-in, the arguments and the result, and gives the result to hand on;
-            raises WrongResult.
-    """
-
-    expected: str
-    check: Callable[[Any, tuple[Any, ...], Any], Any]
 
 
 def register(kind: str, name: str) -> Callable[[Class], Class]:
@@ -164,6 +159,7 @@ def make(
     place: str | None = None,
     adapt: Callable[[Any], Any] = lambda made: made,
     returns: Mapping[str, Returns] = types.MappingProxyType({}),
+    optional: tuple[type, ...] = (),
 ) -> Made:
     """An object of a registered class or of a plug-in.
 
@@ -174,29 +170,53 @@ def make(
         settings: For classes that are made from settings (`TakesSettings`).
         place: For errors; default: the parameter of that kind.
         adapt: Makes an object of an older protocol one of today's.
-        returns: What methods of a plug-in must return. Those of `base`, and these, raise
-            PluginError with file, line and method when they fail or return something else.
+        returns: What methods and attributes of a plug-in must give. The methods of `base`, and
+            these, raise PluginError with file, line and method when they fail or return something
+            else.
+        optional: Protocols that a plug-in may satisfy; their methods do the same.
 
     Raises:
         ParameterError: No such name, file or class, or a class that fails when it is loaded or
             made, or lacks something.
+        PluginError: An attribute that is not what it should be.
     """
     place = place or f"parameter '{kind}'"
     check_name(kind, name, place)
     match = _PLUGIN.fullmatch(name)
     if match is None:
-        made = _made(_registered_class(kind, name), settings)
-    else:
-        place = f"{place}, {Path(match['file']).absolute()}"
-        file = Path(match["file"]).absolute()
-        made = _from_file(
-            file, match["name"], settings, place, lambda c: _guarded(c, file, base, returns)
-        )
-    made = adapt(made)
-    if not isinstance(made, base):
-        lacking = [part for part in vars(base) if part[0] != "_" and part not in dir(made)]
-        found = f"{type(made).__name__} without {', '.join(lacking) or 'its base class'}"
-        raise ParameterError(place, found, f"all of {base.__name__}")
+        return _satisfying(adapt(_made(_registered_class(kind, name), settings)), base, place)
+    file = Path(match["file"]).absolute()
+    place = f"{place}, {file}"
+    found = _from_file(file, match["name"], place)
+    check_made(found, file, place)
+    made = _started(guarded(found, file, base, returns, optional), settings, file, place)
+    made = _satisfying(adapt(made), base, place)
+    for part, wanted in returns.items():
+        if not isinstance(vars(base).get(part, make), types.FunctionType):  # an attribute
+            value = getattr(made, part)
+            called(lambda _, value=value: value, file, f"{found.__name__}.{part}", wanted, made)
+    return made
+
+
+def _satisfying(made: Any, base: type[Made], place: str) -> Made:
+    """Hand on an object that has all of a protocol or base class.
+
+    Raises:
+        ParameterError: It has not.
+    """
+    name, module = type(made).__name__, base.__module__
+    if not getattr(base, "_is_protocol", False) and not isinstance(made, base):
+        expected_class = f"class {name}({base.__name__}): from {module} import {base.__name__}"
+        raise ParameterError(place, f"{name} without its base class", expected_class)
+    if missing := lacking(made, base):
+        near = [f"{close} for {part}" for part in missing if (close := misspelt(type(made), part))]
+        found = f"{name} without {', '.join(missing)}" + (f" ({', '.join(near)}?)" if near else "")
+        owners = (one for one in type(made).__mro__ if missing[0] in vars(one))
+        owner = base if missing[0] in vars(base) else next(owners)
+        needed = ", ".join(part for part in vars(owner) if part in {*members(base), *missing})
+        where = f"{owner.__name__} in {owner.__module__.replace('.', '/')}.py"
+        raise ParameterError(place, found, f"{needed}: all of {where}")
+    assert isinstance(made, base)
     return made
 
 
@@ -210,9 +230,8 @@ def _made(found: type, settings: object) -> Any:
     return found.from_settings(settings) if isinstance(found, TakesSettings) else found()
 
 
-def _from_file(
-    file: Path, name: str, settings: object, place: str, guard: Callable[[type], type]
-) -> Any:
+def _from_file(file: Path, name: str, place: str) -> type:
+    """The class of this name in a file."""
     if not file.is_file():
         raise ParameterError(place, f"no file {file}", FORM)
     # Its own name: a plug-in may be called as a library is. Dataclasses look into sys.modules.
@@ -224,82 +243,36 @@ def _from_file(
     sys.modules[module_name] = module
     try:
         spec.loader.exec_module(module)
-        found = getattr(module, name)
-        if not isinstance(found, type):
-            raise ParameterError(place, f"{name}, which is no class", f"a class {name}")
-        return _made(guard(found), settings)
     except GeoOrbitError:
         raise
-    except Exception as error:  # whatever the user's file does
-        line = _line(file, error)
-        expected_class = f"a class {name} without arguments"
-        raise ParameterError(place + line, _in_words(error), expected_class) from error
+    except (Exception, SystemExit) as error:  # whatever the user's file does
+        line = line_of(file, error)
+        raise ParameterError(place + line, in_words(error), "a file that can be loaded") from error
+    found = vars(module).get(name)
+    if isinstance(found, type):
+        return found
+    if found is not None:
+        raise ParameterError(place, f"{name}, which is no class", f"a class {name}")
+    classes = [key for key, one in vars(module).items() if _is_defined(one, module_name)]
+    close = get_close_matches(name, classes, 1)
+    shown = ", ".join(classes[:MAX_SHOWN]) + (" and more" if len(classes) > MAX_SHOWN else "")
+    has = f"the file has {shown}" if classes else "the file has no class"
+    wanted = f"'{close[0]}'?" if close else "the name of a class in the file"
+    raise ParameterError(place, f"no class {name} ({has})", wanted)
 
 
-def _guarded(found: type, file: Path, base: type, returns: Mapping[str, Returns]) -> type:
-    """A subclass whose methods tell what went wrong in the file, and where.
-
-    Raises:
-        ParameterError: A method that takes other arguments.
-    """
-    methods = {name: part for name, part in vars(base).items() if inspect.isfunction(part)}
-    parts: dict[str, Any] = {"__module__": found.__module__, "__doc__": found.__doc__}
-    complete = set(methods) <= set(dir(found))  # else `make` says what is missing
-    for name in {*methods, *returns} & set(dir(found)):
-        own = inspect.getattr_static(found, name)
-        if name[0] != "_" and inspect.isfunction(own):
-            if name in methods and complete:
-                _check_signature(found, own, methods[name], file)
-            parts[name] = _guard(found, own, file, returns.get(name))
-    return types.new_class(found.__name__, (found,), {}, lambda body: body.update(parts))
+def _is_defined(one: object, module: str) -> bool:
+    return isinstance(one, type) and one.__module__ == module
 
 
-def _check_signature(found: type, own: Any, wanted: Any, file: Path) -> None:
-    names = list(inspect.signature(wanted).parameters)
+def _started(found: type, settings: object, file: Path, place: str) -> Any:
+    """An object of a plug-in's class."""
     try:
-        inspect.signature(own).bind(*names)
-    except TypeError:
-        place = f"{file}{_definition(file, own)}"
-        method = f"{found.__name__}.{own.__name__}{inspect.signature(own)}"
-        expected_method = f"{wanted.__name__}({', '.join(names)})"
-        raise ParameterError(place, method, expected_method) from None
-
-
-def _guard(found: type, own: Any, file: Path, returns: Returns | None) -> Callable[..., Any]:
-    """The method, which raises PluginError for a mistake."""
-    method = f"{found.__name__}.{own.__name__}"
-    wanted = returns.expected if returns else "no error"
-
-    @wraps(own)
-    def call(plugin: Any, *arguments: Any, **named: Any) -> Any:
-        try:
-            result = own(plugin, *arguments, **named)
-            return returns.check(plugin, arguments, result) if returns else result
-        except GeoOrbitError:
-            raise
-        except WrongResult as error:
-            place = f"{file}{_definition(file, own)}, {method}"
-            raise PluginError(place, str(error), wanted) from error
-        except Exception as error:  # whatever the user's method does
-            line = _line(file, error) or _definition(file, own)
-            raise PluginError(f"{file}{line}, {method}", _in_words(error), wanted) from error
-
-    return call
-
-
-def _line(file: Path, error: Exception) -> str:
-    """`, line 7`: where in the file an error came from, as far as that is known."""
-    frames = traceback.extract_tb(error.__traceback__)
-    lines = [frame.lineno for frame in frames if frame.filename == str(file)]
-    return f", line {lines[-1]}" if lines else ""
-
-
-def _definition(file: Path, own: Any) -> str:
-    """`, line 7`: where a method begins, if it stands in the file."""
-    code = own.__code__
-    return f", line {code.co_firstlineno}" if code.co_filename == str(file) else ""
-
-
-def _in_words(error: Exception) -> str:
-    """An exception in one line."""
-    return " ".join(f"{type(error).__name__}: {error}".split())
+        return _made(found, settings)
+    except GeoOrbitError:
+        raise
+    except (Exception, SystemExit) as error:  # whatever the user's class does
+        how = f"{MADE}(settings)" if isinstance(found, TakesSettings) else "()"
+        how = f"{found.__name__}.{how}" if how[0] != "(" else found.__name__ + how
+        where = place + line_of(file, error)
+        raise ParameterError(where, in_words(error), f"{how} without an error") from error

@@ -128,6 +128,22 @@ def table_fault(rows: object, dtype: np.dtype[np.void]) -> str | None:
     return None
 
 
+MAX_CLASS = 79
+"""COCO's last number (Lin et al. 2014: 80 classes, from 0)."""
+RANGES = f"score from 0 to 1, class_id from -1 (unknown) to {MAX_CLASS} (COCO)"
+"""What scores and classes of boxes can be, in words."""
+
+
+def range_fault(rows: NDArray[np.void]) -> str | None:
+    """What score or class of (N,) boxes can't be; None: all can."""
+    for name, low, high in (("score", 0.0, 1.0), ("class_id", UNKNOWN_CLASS, MAX_CLASS)):
+        good = (rows[name] >= low) & (rows[name] <= high)
+        if not good.all():
+            k = int(np.argmin(good))
+            return f"row {k}: {name} {rows[name][k]:g}"
+    return None
+
+
 def first_repeated_id(frames: Frames) -> int | None:
     """Index of the first row whose `track_id` an earlier row of the same frame has.
 

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.core import plugins
 from geoorbit_ros.core.errors import GeoOrbitError
-from geoorbit_ros.core.tables import DETECTION_DTYPE, table_fault
+from geoorbit_ros.core.plugin_methods import Returns, WrongResult, what
+from geoorbit_ros.core.tables import DETECTION_DTYPE, RANGES, range_fault, table_fault
 
 Image = NDArray[np.uint8]
 """(H, W, 3) uint8, blue green red."""
@@ -76,7 +77,8 @@ class Detector(Protocol):
             image: (H, W, 3) uint8 BGR; grey (H, W) and BGRA are taken too. Its size may change.
 
         Returns:
-            (N,) `DETECTION_DTYPE` in pixels of `image`, highest score first.
+            (N,) `DETECTION_DTYPE` in pixels of `image`, highest score first; scores from 0 to 1,
+            classes are COCO numbers from 0 to 79, or -1 where it is not known.
 
         Raises:
             ImageError: An image that is none of these.
@@ -110,16 +112,22 @@ def make_detector(model: Path | None = None, settings: DetectorSettings | None =
     )
 
 
-def _returns(settings: DetectorSettings) -> Mapping[str, plugins.Returns]:
+def _returns(settings: DetectorSettings) -> Mapping[str, Returns]:
     """What a plug-in must return; of one that takes no settings, weak boxes are dropped."""
 
     def check(plugin: object, _: tuple[Any, ...], rows: NDArray[np.void]) -> NDArray[np.void]:
-        if fault := table_fault(rows, DETECTION_DTYPE):
-            raise plugins.WrongResult(fault)
+        if fault := table_fault(rows, DETECTION_DTYPE) or range_fault(rows):
+            raise WrongResult(fault)
         weak = rows["score"] < settings.min_score
         return rows if isinstance(plugin, plugins.TakesSettings) else rows[~weak]
 
-    return {"detect": plugins.Returns("(N,) rows of DETECTION_DTYPE", check)}
+    def check_name(_: object, __: object, name: object) -> str:
+        if not isinstance(name, str) or not name.strip():
+            raise WrongResult(repr(name) if isinstance(name, str) else what(name))
+        return name
+
+    rows = f"(N,) rows of DETECTION_DTYPE, {RANGES}"
+    return {"detect": Returns(rows, check), "name": Returns("a text, not empty", check_name)}
 
 
 def without_effect(detector: Detector, settings: DetectorSettings) -> str | None:

@@ -15,11 +15,14 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.core import plugins
 from geoorbit_ros.core.errors import TableError
+from geoorbit_ros.core.plugin_methods import Returns, WrongResult, what
 from geoorbit_ros.core.tables import (
     DETECTION_DTYPE,
     FLAG_PREDICTED,
     FLAG_TRUNCATED,
     PIXEL_TRACK_DTYPE,
+    RANGES,
+    range_fault,
     table_fault,
 )
 from geoorbit_ros.tracking.association import (
@@ -145,14 +148,40 @@ def make_tracker(
         name,
         VehicleTracker,  # type: ignore[type-abstract]
         parameters or TrackerParameters(),
-        returns={"update": plugins.Returns("(N,) rows of PIXEL_TRACK_DTYPE", _check_tracks)},
+        returns={
+            "update": Returns(
+                f"(N,) rows of PIXEL_TRACK_DTYPE, {RANGES}, each track_id above 0 and once",
+                _check_tracks,
+            ),
+            "counts": Returns("a TrackerCounts", _check_counts),
+            "alive": Returns("a whole number", _check_number),
+            "lost": Returns("a whole number", _check_number),
+        },
     )
 
 
 def _check_tracks(_: object, __: tuple[Any, ...], rows: NDArray[np.void]) -> NDArray[np.void]:
-    if fault := table_fault(rows, PIXEL_TRACK_DTYPE):
-        raise plugins.WrongResult(fault)
+    if fault := table_fault(rows, PIXEL_TRACK_DTYPE) or range_fault(rows):
+        raise WrongResult(fault)
+    track_id = rows["track_id"]
+    if len(track_id) and track_id.min() <= 0:
+        raise WrongResult(f"track_id {track_id.min()}")
+    ids, times = np.unique(track_id, return_counts=True)
+    if (times > 1).any():
+        raise WrongResult(f"track_id {ids[np.argmax(times)]} in {times.max()} rows")
     return rows
+
+
+def _check_counts(_: object, __: object, counts: object) -> TrackerCounts:
+    if not isinstance(counts, TrackerCounts):
+        raise WrongResult(what(counts))
+    return counts
+
+
+def _check_number(_: object, __: object, number: object) -> object:
+    if isinstance(number, bool) or not isinstance(number, int | np.integer):
+        raise WrongResult(repr(number))
+    return number
 
 
 @plugins.register("tracker", "kalman")

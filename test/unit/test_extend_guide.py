@@ -105,10 +105,10 @@ def test_parameters_of_nodes_take_a_class_where_a_factory_does() -> None:
 @pytest.mark.parametrize(
     ("text", "name", "said"),
     [
-        ("", "Nothing", "no attribute 'Nothing'"),
+        ("", "Nothing", "no class Nothing"),
         ("1 / 0", "Mine", "ZeroDivisionError"),
-        ("class Mine:\n    def add(self): ...", "Mine", "Mine without lanes, "),
-        ("class Mine:\n    def __init__(self, x): ...", "Mine", "a class Mine without arguments"),
+        ("class Mine:\n    def add(self, stamp_ns, rows): ...", "Mine", "Mine without lanes, "),
+        ("class Mine:\n    def __init__(self, x): ...", "Mine", "Mine(), without arguments"),
     ],
 )
 def test_what_is_wrong_with_a_file_is_one_sentence(

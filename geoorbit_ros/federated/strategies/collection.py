@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +58,7 @@ Aggregate = NDArray[np.float64]
 """Aggregated change of the weights, shape (size,)."""
 
 
+@runtime_checkable
 class Collection(Protocol):
     """What a round's updates are added to, in any order."""
 

@@ -9,15 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.core import plugins
-from geoorbit_ros.core.lanes import Lane, LaneMap
+from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.lanes.estimators.curvilinear.trajectory_segments import TrajectorySegments
+from geoorbit_ros.lanes.estimators.result_check import ResultCheck
 from geoorbit_ros.lanes.parameters import LaneParameters
 
 State = dict[str, NDArray[Any]]
 """Arrays by name, none of objects: what is saved for a process that is started again."""
-
-MIN_POINTS = 2
-"""A line has at least so many points."""
 
 
 @runtime_checkable
@@ -88,25 +86,6 @@ def make_estimator(name: str) -> LaneEstimator:
         "estimator",
         name,
         LaneEstimator,  # type: ignore[type-abstract]
-        returns={"lanes": plugins.Returns("a LaneMap of lanes with finite lines", _check_map)},
+        returns=ResultCheck().returns(),
+        optional=(SegmentSource, Restorable),
     )
-
-
-def _check_map(_: object, __: tuple[Any, ...], found: object) -> LaneMap:
-    if not isinstance(found, LaneMap):
-        raise plugins.WrongResult("None" if found is None else f"a {type(found).__name__}")
-    for k, lane in enumerate(found.lanes):
-        if not isinstance(lane, Lane):
-            raise plugins.WrongResult(f"a {type(lane).__name__} as lane {k} of its map")
-        lines = (lane.centerline_m, lane.left_m, lane.right_m)
-        for name, line in zip(("centerline_m", "left_m", "right_m"), lines, strict=True):
-            if not isinstance(line, np.ndarray):
-                raise plugins.WrongResult(f"a {type(line).__name__} as {name} of lane {k}")
-            if line.ndim != 2 or line.shape[1] != 2 or len(line) < MIN_POINTS:
-                raise plugins.WrongResult(f"{name} of shape {line.shape} in lane {k} of its map")
-            if line.dtype != np.float64 or not np.isfinite(line).all():
-                what = "values that are not finite" if line.dtype == np.float64 else line.dtype
-                raise plugins.WrongResult(f"{what} in {name} of lane {k} of its map")
-        if not 0.0 <= lane.confidence <= 1.0:
-            raise plugins.WrongResult(f"confidence {lane.confidence} of lane {k} of its map")
-    return found

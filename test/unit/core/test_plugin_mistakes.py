@@ -54,8 +54,8 @@ class Own(Strategy):
     def step(self, aggregate):
         {}
 """
-LINE = "np.zeros((3, 2))"
-LANE = "Lane(1, {}, " + LINE + ", " + LINE + ", 3.5, 0.1, {}, 'confirmed', 5.0)"
+LINE = "np.array([[0.0, 0.0], [0.0, 20.0], [0.0, 50.0]])"
+LANE = f"Lane(1, {{}}, {LINE} - [1.8, 0.0], {LINE} + [1.8, 0.0], 3.5, 0.1, {{}}, 'confirmed', 5.0)"
 
 Run = Callable[[str], Any]
 
@@ -91,7 +91,7 @@ MISTAKES = [
     (tracker, TRACKER, "return detections", "fields x, y"),
     (tracker, TRACKER, "return None", "None"),
     (estimator, ESTIMATOR, "return ()", "a tuple"),
-    (estimator, ESTIMATOR, "return LaneMap(1, (3,))", "a int as lane 0"),
+    (estimator, ESTIMATOR, "return LaneMap(1, (3,))", "lane 0: an int"),
     (estimator, ESTIMATOR, f"return LaneMap(1, ({LANE.format('[1, 2]', 1.0)},))", "a list as"),
     (estimator, ESTIMATOR, f"return LaneMap(1, ({LANE.format('np.zeros(2)', 1.0)},))", "(2,)"),
     (
@@ -100,7 +100,7 @@ MISTAKES = [
         f"return LaneMap(1, ({LANE.format(LINE + ' + np.inf', 1.0)},))",
         "finite",
     ),
-    (estimator, ESTIMATOR, f"return LaneMap(1, ({LANE.format(LINE, 9.0)},))", "confidence 9.0"),
+    (estimator, ESTIMATOR, f"return LaneMap(1, ({LANE.format(LINE, 9.0)},))", "confidence 9"),
     (strategy, STRATEGY, "return aggregate[1:]", "shape (2,), not (3,)"),
     (strategy, STRATEGY, "return aggregate * np.nan", "not all finite"),
     (strategy, STRATEGY, "return None", "None"),
