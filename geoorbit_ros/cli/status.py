@@ -149,7 +149,7 @@ def _tables(cameras: Sequence[Row], services: Sequence[Row]) -> RenderableType:
     titles = "|".join(f">{column.title}" for column in columns)
     table = make_table("Cameras", f" |camera|>nodes|{titles}")
     for row in cameras:
-        values = [_short(row.values.get(column.key, "–")) for column in columns]
+        values = [_cell(row, column.key) for column in columns]
         table.add_row(_mark(row), row.name, str(row.nodes), *values)
     parts: list[RenderableType] = [table] if cameras else []
     if services:
@@ -161,6 +161,16 @@ def _tables(cameras: Sequence[Row], services: Sequence[Row]) -> RenderableType:
     for row in [*cameras, *services]:
         parts += [Text(f" {row.name}: {problem}", style="red") for problem in row.problems]
     return Group(*parts)
+
+
+def _cell(row: Row, key: str) -> str:
+    """A value of a camera; many lost frames stand out, by a sign beside their colour."""
+    from geoorbit_ros.fleet.health import MAX_LOST_SHARE
+
+    shown = _short(row.values.get(key, "–"))
+    if key == "lost" and float(row.values.get("lost_share", 0.0)) > MAX_LOST_SHARE:
+        return f"[yellow]{shown} ![/yellow]"
+    return shown
 
 
 def _short(value: str) -> str:

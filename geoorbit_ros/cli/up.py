@@ -55,6 +55,7 @@ def up(
     Example: [bold]geoorbit up demo[/bold]
     """
     from geoorbit_ros.cli.console import print_remarks, say
+    from geoorbit_ros.storage.ownership import Ownership
 
     report = InputReport(fleet, "cameras")
     try:
@@ -68,7 +69,9 @@ def up(
         _print_plan(content, plans, folder)
     print_remarks(report)
     if not dry_run:
-        _watch(fleet, content, plans, folder, duration_s)
+        folder.mkdir(parents=True, exist_ok=True)
+        with Ownership(folder / ".up.lock", str(folder)):
+            _watch(fleet, content, plans, folder, duration_s)
     if any(remark.treatment is Treatment.LEFT_OUT for remark in report.remarks):
         raise typer.Exit(2)
 

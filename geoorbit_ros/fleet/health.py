@@ -59,6 +59,9 @@ class Column:
 _DATA_PATH = ("lane_geometry", "homography", "tracker", "detector", "camera", "bag_player")
 
 _LOSSES = ("dropped", "missing", "refused")
+MAX_LOST_SHARE = 0.05
+"""Of the frames; above it the number is shown in another colour. Chosen: lanes take no harm from
+single frames; a twentieth is more than a busy machine loses."""
 
 COLUMNS = (
     Column(
@@ -68,7 +71,8 @@ COLUMNS = (
     ),
     Column("latency_ms", "p99 ms", (("homography", "age_ms_p99"), ("tracker", "age_ms_p99"))),
     Column("lanes_latency_ms", "", (("lane_geometry", "age_ms_p99"),)),
-    Column("lost", "lost", tuple((n, key) for n in _DATA_PATH for key in _LOSSES), summed=True),
+    Column("lost", "lost", ()),
+    Column("lost_share", "", ()),
     *(Column(key, "", tuple((n, key) for n in _DATA_PATH), summed=True) for key in _LOSSES),
     Column("vehicles", "vehicles", (("homography", "vehicles"), ("tracker", "tracks_alive"))),
     Column("lanes_confirmed", "lanes", (("lane_geometry", "lanes_confirmed"),)),
@@ -158,7 +162,27 @@ def _camera(name: str, nodes: Mapping[str, NodeReport], wanted: Sequence[str]) -
         found = [value for value in found if value]
         if found:
             values[column.key] = f"{sum(map(float, found)):g}" if column.summed else found[0]
+    values |= _lost(nodes)
     return Row(name, bool(nodes) and not problems, len(nodes), tuple(problems), values)
+
+
+def _lost(nodes: Mapping[str, NodeReport]) -> dict[str, str]:
+    """Frames lost on the way, each once, and their share.
+
+    A frame that one node loses is missing at all nodes after it: the node that lacks most says how
+    many there are.
+    """
+    most, share, missing, known = 0.0, 0.0, 0.0, False
+    for node in (nodes[name] for name in _DATA_PATH if name in nodes):
+        counts = [float(node.values[key]) for key in _LOSSES if node.values.get(key)]
+        known = known or bool(counts)
+        missing = max(missing, float(node.values.get("missing") or 0.0))
+        if sum(counts) > most:
+            most = sum(counts)
+            came = float(node.values.get("received") or 0.0)
+            share = most / max(came + most, 1.0)
+    lost = {"lost": f"{most:g}", "lost_share": f"{share:.3f}", "missing": f"{missing:g}"}
+    return lost if known else {}
 
 
 def _service(name: str, report: NodeReport | None) -> Row:

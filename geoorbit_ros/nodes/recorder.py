@@ -6,6 +6,7 @@ import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from geoorbit_ros.nodes.support.process import run_node
 from geoorbit_ros.nodes.support.qos import LATCHED_ALL
 from geoorbit_ros.nodes.support.table_stream import TableStream
 from geoorbit_ros.storage.database.writer import TrajectoryDatabase
+from geoorbit_ros.storage.ownership import Ownership
 
 FLUSH_PERIOD_S = 0.5
 """A kill costs less than a second, also when the camera has fallen silent."""
@@ -55,7 +57,14 @@ class RecorderNode(GeoOrbitNode[RecorderParameters]):
             place = f"node '{self.get_fully_qualified_name()}', parameter 'camera_id'"
             raise ParameterError(place, "nothing, in the root namespace", "the camera's name")
         self._newest_ns = self.lane_maps = 0
-        self._database = TrajectoryDatabase(self.p.database)
+        database = Path(self.p.database)
+        self._database = TrajectoryDatabase(database)
+        lock = database.with_name(f".{database.name}.{self._camera.replace('/', '.')}.lock")
+        try:
+            self._owner = Ownership(lock, f"{database}, camera {self._camera}")
+        except GeoOrbitError:
+            self._database.close()
+            raise
         TableStream(self, "tracks", TRACK_DTYPE, self.p, self._on_frame, lambda: None)
         self._geojson_topic = self.resolve_topic_name("lanes/geojson")
         self.create_subscription(String, "lanes/geojson", self._on_lanes, LATCHED_ALL, raw=True)
@@ -65,6 +74,7 @@ class RecorderNode(GeoOrbitNode[RecorderParameters]):
 
     def close(self) -> None:
         """Commit what is left."""
+        self._owner.close()
         try:
             self._database.close()
         except GeoOrbitError as error:

@@ -22,7 +22,8 @@ def test_a_camera_is_one_row_of_its_nodes_values() -> None:
     assert north.values == {
         "rate_hz": "24.9",
         "latency_ms": "80.0",
-        "lost": "5",
+        "lost": "3",  # the two that the camera dropped are among those missing
+        "lost_share": "1.000",
         "dropped": "2",
         "missing": "3",
         "refused": "0",
@@ -32,6 +33,17 @@ def test_a_camera_is_one_row_of_its_nodes_values() -> None:
         "parameters": "own",
         "round": "7",
     }
+
+
+def test_a_frame_that_is_lost_on_the_way_counts_once() -> None:
+    nodes = ("camera", "detector", "tracker", "homography", "lane_geometry")
+    behind = [report(f"/north/{name}", missing=6, refused=0, received=94) for name in nodes[1:]]
+    behind[-1] = report("/north/lane_geometry", missing=6, refused=1, received=94)
+    (north,), _ = rows([report("/north/camera", dropped=6), *behind])
+    assert (north.values["lost"], north.values["missing"]) == ("7", "6")
+    assert north.values["lost_share"] == f"{7 / 101:.3f}"
+    (north,), _ = rows([report("/north/tracker", missing=0, refused=0, received=9)])
+    assert (north.values["lost"], north.values["lost_share"]) == ("0", "0.000")
 
 
 def test_what_is_silent_at_fault_or_not_heard_is_said() -> None:
