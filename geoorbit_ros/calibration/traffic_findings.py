@@ -226,14 +226,17 @@ def border_finding(
     fitting = {}
     for meaning, reading in READINGS.items():
         count, odd = _at_border(box, track_id, reading, size)
-        misread = ends <= MISREAD_SHARE * count or beyond >= MISREAD_SHARE * count
         fits = count >= max(MIN_TRACKS, ends) and odd <= ODD_SHARE * count
-        if misread and fits and _sizes_allow(traffic, reading, homography, pose):
-            fitting[meaning] = count
+        misread = ends <= MISREAD_SHARE * count or beyond >= MISREAD_SHARE * count
+        if not fits or not misread:
+            continue
+        gain = _size_gain(traffic, reading, homography, pose)
+        if gain > -WORSE:
+            fitting[meaning] = (gain, count)
     if fitting:
         meaning = max(fitting, key=lambda known: fitting[known])
         text = (
-            f"{meaning}: so read, boxes of {fitting[meaning]} vehicles end at the image's "
+            f"{meaning}: so read, boxes of {fitting[meaning][1]} vehicles end at the image's "
             f"border; else those of {ends}, and those of {beyond} reach beyond it"
         )
         yield Remark(Treatment.DOUBTFUL, 0, text)
@@ -253,20 +256,20 @@ def border_finding(
                 yield Remark(Treatment.DOUBTFUL, 0, text)
 
 
-def _sizes_allow(
+def _size_gain(
     traffic: SeenTraffic,
     reading: tuple[float, float, bool],
     homography: Homography,
     pose: CameraPose | None,
-) -> bool:
-    """False where cars would have worse sizes so read than as their boxes are given."""
+) -> float:
+    """How much nearer cars' sizes come to what cars have if boxes are so read; 0: not known."""
     use = traffic.solid & traffic.car
     if pose is None or not use.any():
-        return True
+        return 0.0
     track_id, box = traffic.track_id[use], traffic.box[use]
     given = _car_size(track_id, box, homography, pose)
     other = _car_size(track_id, _read_as(box, reading), homography, pose)
-    return given is None or other is None or _misfit(other) <= _misfit(given) + WORSE
+    return 0.0 if given is None or other is None else _misfit(given) - _misfit(other)
 
 
 def _at_border(

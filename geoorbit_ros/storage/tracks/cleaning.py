@@ -31,6 +31,9 @@ _PERCENT = 100.0
 CONTRADICTION_SHARE = 0.1
 """Where more frames than this share have an earlier time than the frame before, numbers and times
 say different things. Chosen: a clock that is set while a camera records goes back once or twice."""
+OUTSIDE_SHARE = 0.05
+"""More boxes than this wholly outside of the image are no accident: it has another size. Chosen:
+trackers that predict vehicles on their way out make a few; larger overlooks a wrong size."""
 _INT32 = np.iinfo(np.int32)
 Mask = NDArray[np.bool_]
 Stamps = NDArray[np.int64]
@@ -149,8 +152,14 @@ def _usable(raw: RawTracks, size: tuple[int, int] | None) -> Mask:
         with np.errstate(invalid="ignore"):
             inside = (raw.x + 0.5 * raw.width >= 0) & (raw.x - 0.5 * raw.width <= size[0])
             inside &= (raw.y + 0.5 * raw.height >= 0) & (raw.y - 0.5 * raw.height <= size[1])
+        outside = use & ~inside & ~raw.ground_point
         text = f"wholly outside the image of {size[0]}x{size[1]}"
         _leave_out(raw, use, inside | raw.ground_point, text)
+        if outside.sum() > OUTSIDE_SHARE * np.count_nonzero(~raw.ground_point):
+            right = np.nanmax(raw.x[outside] + 0.5 * raw.width[outside])
+            bottom = np.nanmax(raw.y[outside] + 0.5 * raw.height[outside])
+            text = f"the image is {size[0]}x{size[1]}, but boxes reach {right:.0f}x{bottom:.0f}"
+            raw.report.note(Treatment.DOUBTFUL, f"{text}: is that its size?")
         beyond = use & raw.ground_point & ~inside
         if beyond.any():
             k = int(np.argmax(beyond))
