@@ -28,12 +28,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             from geoorbit_ros.cli.app import app
             from geoorbit_ros.core.addresses import masked_text
-            from geoorbit_ros.core.errors import GeoOrbitError
+            from geoorbit_ros.core.errors import GeoOrbitError, disk_fault
 
             try:
                 app(args=None if arguments is None else list(arguments), prog_name="geoorbit")
             except GeoOrbitError as error:
                 print(f"geoorbit: {masked_text(str(error))}", file=sys.stderr)
+                return EXIT_BAD_INPUT
+            except OSError as error:
+                fault = disk_fault(error)
+                if fault is None or interruption.came:
+                    raise
+                print(f"geoorbit: {masked_text(str(fault))}", file=sys.stderr)
                 return EXIT_BAD_INPUT
             except SystemExit as end:
                 return end.code if isinstance(end.code, int) else int(end.code is not None)

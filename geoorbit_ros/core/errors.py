@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+
 
 class GeoOrbitError(Exception):
     """Root of every error that geoorbit raises on purpose.
@@ -31,6 +33,24 @@ def _restore(kind: type[GeoOrbitError], message: str, state: dict[str, object]) 
 
 class InputFileError(GeoOrbitError):
     """A file that a user gave can't be used."""
+
+
+DISK_FAULTS = frozenset(
+    (
+        *(errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM),
+        *(errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG, errno.EFBIG),
+    )
+)
+"""What a full disk, a folder that can't be written to, or a name that can't be, are to the system:
+the user's to change, wherever they are met."""
+
+
+def disk_fault(error: OSError) -> InputFileError | None:
+    """The same fault as a sentence that names the file; None for any other error."""
+    if error.errno not in DISK_FAULTS:
+        return None
+    place = str(error.filename) if error.filename else "output"
+    return InputFileError(place, error.strerror, "a place that can be written to, with room")
 
 
 class CalibrationError(GeoOrbitError):
