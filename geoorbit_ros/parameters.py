@@ -7,9 +7,11 @@ description, read_only, validation), so that its documentation generator reads t
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields
+from difflib import get_close_matches
 from functools import lru_cache
+from textwrap import wrap
 from typing import Any, Generic, TypeVar
 
 import yaml
@@ -194,6 +196,47 @@ def spec_by_name(schema: str) -> dict[str, ParameterSpec]:
     specs = load_schema(schema)
     old = {spec.renamed_from: spec for spec in specs if spec.renamed_from}
     return old | {spec.name: spec for spec in specs}
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """What a person who wrote a name that is not known can write: the nearest one, or all."""
+    close = get_close_matches(name, known := sorted(known), n=1)
+    return f"'{close[0]}'?" if close else f"one of {', '.join(known)}"
+
+
+def undeclared(schema: str, node: Node, overrides: Iterable[str]) -> list[str]:
+    """A sentence for each parameter that was given and that the node has not."""
+    mine = spec_by_name(schema)
+    names = [spec.name for spec in load_schema(schema)]
+    place = f"node '{node.get_fully_qualified_name()}'"
+    return [
+        f"{place}: parameter '{name}' has no effect: found no such parameter, "
+        f"expected {nearest(name, names)}"
+        for name in overrides
+        if name not in mine and not node.has_parameter(name) and "." not in name
+    ]
+
+
+def parameter_help(schema: str, about: str) -> str:
+    """What `--help` of a node prints: how it is started, and its parameters."""
+    lines = [
+        f"usage: ros2 run geoorbit_ros {schema} [--ros-args [-r __ns:=/CAMERA] "
+        "[-p NAME:=VALUE]... [--params-file FILE]]",
+        "",
+        " ".join(about.split()),
+        "",
+        "parameters:",
+    ]
+    for spec in load_schema(schema):
+        default = repr(spec.default) if isinstance(spec.default, str) else spec.default
+        lines.append(f"  {spec.name}: {spec.expected} (default: {default})")
+        lines += wrap(
+            " ".join(spec.description.split()),
+            94,
+            initial_indent=" " * 6,
+            subsequent_indent=" " * 6,
+        )
+    return "\n".join(lines)
 
 
 class NodeParameters(Generic[Struct]):

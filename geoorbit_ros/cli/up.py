@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 OTHERS = 0o077
 """Bits of a file's mode by which others than its owner may do anything with it."""
+SIZES = ("image_width", "image_height", "image_sizes")
+"""Parameters that follow from the images of a video or scene."""
 STEP_S = 0.2
 """Longest time between two looks at the processes. Chosen: larger, Ctrl-C takes longer."""
 
@@ -138,7 +140,7 @@ def _check_plugins(file: Path, plans: Sequence[ProcessPlan]) -> None:
     Raises:
         GeoOrbitError: A file without such a class, or a class that its node can't use.
     """
-    from geoorbit_ros.core.errors import ParameterError
+    from geoorbit_ros.core.errors import ParameterError, PluginError
     from geoorbit_ros.detection.detector import make_detector
     from geoorbit_ros.federated.strategies.strategy import make_strategy
     from geoorbit_ros.fleet.plan import chosen_plugins
@@ -154,7 +156,7 @@ def _check_plugins(file: Path, plans: Sequence[ProcessPlan]) -> None:
     for place, kind, name in chosen_plugins(plans):
         try:
             makers[kind](name)
-        except ParameterError as error:
+        except (ParameterError, PluginError) as error:
             where = f"{file}, {place}, {error.place}"
             raise ParameterError(where, error.found, error.expected) from error
 
@@ -209,13 +211,18 @@ def _print_plan(fleet: Fleet, plans: Sequence[ProcessPlan], folder: Path) -> Non
     from geoorbit_ros.core.addresses import masked
 
     table = make_table(f"Fleet {fleet.name}", "process|node|parameters set")
+    asked = {c.id for c in fleet.cameras if c.kind in ("scene", "file") and not c.image_size}
     for plan in plans:
         name = plan.name
         for node in plan.nodes:
-            values = ", ".join(f"{k}={masked(str(v))}" for k, v in node.parameters.items())
+            hidden = SIZES if node.namespace in asked or (asked and not node.namespace) else ()
+            shown = {key: value for key, value in node.parameters.items() if key not in hidden}
+            values = ", ".join(f"{k}={masked(str(v))}" for k, v in shown.items())
             table.add_row(name, node.executable, values)
             name = ""
     for column in table.columns[2:]:
         column.no_wrap, column.overflow = False, "fold"
     console.print(table)
+    if asked:
+        say(f"Image sizes of {', '.join(sorted(asked))} are asked for when they are started.")
     say(f"Nothing was started. Logs, recordings and state would go to {folder}.")

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Mapping
-from difflib import get_close_matches
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,7 +20,7 @@ from geoorbit_ros.core.addresses import (
 )
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.core.input_report import InputReport, Treatment
-from geoorbit_ros.parameters import ParameterSpec, load_schema, spec_by_name
+from geoorbit_ros.parameters import ParameterSpec, load_schema, nearest, spec_by_name
 from geoorbit_ros.storage.yaml_file import StrictModel, WrongValue, spell
 
 MAX_CAMERAS = 1000
@@ -328,7 +327,7 @@ def check_overrides(
     """
     for node, values in overrides.items():
         if node not in nodes:
-            raise WrongValue(("parameters", node), "an unknown node", one_of(node, nodes))
+            raise WrongValue(("parameters", node), "an unknown node", nearest(node, nodes))
         check_parameters(values, node, ("parameters", node), report)
 
 
@@ -352,7 +351,8 @@ def check_parameters(
     specs = spec_by_name(node) if values else {}
     for name, value in values.items():
         if name not in specs:
-            raise WrongValue((*key, name), "an unknown parameter", one_of(name, specs))
+            known = [spec.name for spec in load_schema(node)]
+            raise WrongValue((*key, name), "an unknown parameter", nearest(name, known))
         try:
             checked = specs[name].checked(value, node)
         except ParameterError as error:
@@ -361,9 +361,3 @@ def check_parameters(
             text = f"{spell((*key, name))}: {value!r} is read as {checked}"
             report.note(Treatment.REPAIRED, text)
         values[name] = checked
-
-
-def one_of(name: str, known: Iterable[str]) -> str:
-    """What a name should have been: the nearest one, or all of them."""
-    close = get_close_matches(name, list(known), n=1)
-    return f"'{close[0]}'?" if close else f"one of {', '.join(sorted(known))}"

@@ -12,7 +12,8 @@ import yaml
 from geoorbit_ros.core.errors import InputFileError, ParameterError
 from geoorbit_ros.core.input_report import InputReport, Treatment
 from geoorbit_ros.core.resources import share_path
-from geoorbit_ros.fleet.fleet_file import IDENTIFIER, SERVICE_MODELS, Camera, Fleet, one_of
+from geoorbit_ros.fleet.fleet_file import IDENTIFIER, SERVICE_MODELS, Camera, Fleet
+from geoorbit_ros.parameters import nearest
 from geoorbit_ros.storage.atomic import atomic_output
 from geoorbit_ros.storage.yaml_file import YamlText, read_text, read_yaml
 
@@ -62,7 +63,7 @@ def _usable(text: YamlText, report: InputReport) -> Fleet:
     """
     content, place = dict(text.content), Path(text.file)
     for key in [key for key in content if key not in Fleet.model_fields]:
-        expected = one_of(key, Fleet.model_fields)
+        expected = nearest(key, Fleet.model_fields)
         report.note(
             Treatment.LEFT_OUT, f"{key} is left out: found an unknown key, expected {expected}"
         )

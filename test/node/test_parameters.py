@@ -1,5 +1,7 @@
 """Parameters: schemas and structs agree, and a bad value is one sentence."""
 
+import subprocess
+import sys
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -17,6 +19,7 @@ from geoorbit_ros.nodes.homography import HomographyNode
 from geoorbit_ros.nodes.lane_geometry import LaneGeometryNode, LaneGeometryParameters
 from geoorbit_ros.nodes.recorder import RecorderNode
 from geoorbit_ros.nodes.support.composition import Composition
+from geoorbit_ros.nodes.support.process import run_node
 from geoorbit_ros.nodes.tracker import TrackerNode
 from geoorbit_ros.parameters import NodeParameters, load_schema, spec_by_name
 
@@ -168,3 +171,32 @@ def test_a_bad_value_under_the_old_name_is_refused(nodes: Composition) -> None:
     node = nodes.add(Node("n", context=nodes.context, parameter_overrides=overrides))
     with pytest.raises(ParameterError, match="'validate_every': found 10, expected"):
         NodeParameters(node, Renamed, "renamed")
+
+
+def test_a_parameter_that_a_node_has_not_is_warned_of_with_the_nearest_name(
+    nodes: Composition, capfd: pytest.CaptureFixture[str]
+) -> None:
+    given = {"estimater": "geolane", "update_period_s": 3.0}
+    nodes.make(LaneGeometryNode, "north", given)
+    said = capfd.readouterr().err
+    assert "parameter 'estimater' has no effect" in said
+    assert "expected 'estimator'?" in said
+    assert said.count("has no effect") == 1
+
+
+def test_help_shows_every_parameter_and_starts_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_node(LaneGeometryNode, ["--help"]) == 0
+    shown = capsys.readouterr().out
+    assert all(f"  {spec.name}: {spec.expected}" in shown for spec in load_schema("lane_geometry"))
+
+
+def test_words_that_ros_does_not_take_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_node(LaneGeometryNode, ["--estimator", "geolane"]) == 2
+    assert "found '--estimator', expected --ros-args" in capsys.readouterr().err
+
+
+def test_a_node_that_is_a_folder_starts_as_the_others_do() -> None:
+    words = [sys.executable, "-m", "geoorbit_ros.nodes.sumo_bridge", "--help"]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    assert "  network: text, not empty" in done.stdout
+    assert done.stderr == ""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.datum import Datum
-from geoorbit_ros.core.errors import InputFileError
+from geoorbit_ros.core.errors import InputFileError, PluginError
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.lanes.mapping.mapper import LaneMapper
@@ -163,7 +163,7 @@ class LiveMapper:
         if lane_map and self._memory and datum:
             try:
                 self._memory.save_if_due(self._mapper, datum, stamp_ns)
-            except InputFileError as error:
+            except (InputFileError, PluginError) as error:
                 self._warn(f"lanes are not remembered: {error}")
         return lane_map or found
 
@@ -179,7 +179,7 @@ class LiveMapper:
         try:
             if not memory.resume(mapper, datum, stamp_ns):
                 return None
-        except InputFileError as error:
+        except (InputFileError, PluginError) as error:
             self._warn(f"lanes start anew: {error}")
             return None
         self._mapper = mapper

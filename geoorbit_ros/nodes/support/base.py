@@ -14,7 +14,7 @@ from rclpy.publisher import Publisher
 
 from geoorbit_ros.core.errors import GeoOrbitError, MessageError
 from geoorbit_ros.nodes.support.diagnostics import Diagnostics
-from geoorbit_ros.parameters import NodeParameters
+from geoorbit_ros.parameters import NodeParameters, undeclared
 
 PUBLISH_TIMEOUT_S = 30.0
 """How long a publisher that keeps everything waits for readers that are behind. Chosen: larger, a
@@ -60,6 +60,8 @@ class GeoOrbitNode(Node, Generic[Struct]):
         self.done = self.told_to_end = False
         try:
             self._checked = NodeParameters(self, self.struct, self.name, self.on_parameters)
+            for sentence in undeclared(self.name, self, self._parameter_overrides):
+                self.get_logger().warning(sentence)
             self.diagnostics = Diagnostics(self, self.diagnostic_values)
             self.setup()
         except GeoOrbitError:

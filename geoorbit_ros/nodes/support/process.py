@@ -13,10 +13,12 @@ import rclpy
 from rclpy.context import Context
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
 from geoorbit_ros.core.addresses import masked_text
-from geoorbit_ros.core.errors import GeoOrbitError
+from geoorbit_ros.core.errors import GeoOrbitError, ParameterError
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
+from geoorbit_ros.parameters import parameter_help
 
 SPIN_TIMEOUT_S = 0.2
 """How long a signal may go unnoticed at most. Chosen: larger, a node ends later; smaller, an idle
@@ -38,13 +40,23 @@ def make_executor(context: Context | None = None) -> Executor:
     return EventsExecutor(context=context)
 
 
-def run_node(make: Callable[[], GeoOrbitNode[Any]], args: Sequence[str] | None = None) -> int:
+def run_node(make: type[GeoOrbitNode[Any]], args: Sequence[str] | None = None) -> int:
     """Start one node and spin it until it is done or the process is told to end.
+
+    `--help` shows its parameters and starts nothing.
 
     Returns:
         Exit status: 0 when done or after SIGINT or SIGTERM, 2 with one sentence on standard error
         when something the user gave can't be used.
     """
+    words = remove_ros_args(["node", *args] if args is not None else sys.argv)[1:]
+    if {"--help", "-h"} & set(words):
+        print(parameter_help(make.name, (make.__doc__ or "").partition("\n\n")[0]))
+        return 0
+    if words:
+        expected = "--ros-args and what follows it, or --help"
+        print(ParameterError(f"node '{make.name}'", f"'{words[0]}'", expected), file=sys.stderr)
+        return 2
     return run_nodes([make], lambda nodes: not nodes[0].done, args)
 
 

@@ -299,3 +299,21 @@ def test_the_schema_for_editors_is_up_to_date() -> None:
 def test_shipped_fleets_are_right_and_their_files_are_there(name: str, tmp_path: Path) -> None:
     fleet, file = load_fleet(name)
     assert plan_fleet(fleet, file.parent, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("written", "said"),
+    [
+        ("{parameters: {validate_evry: 3}}", "expected 'validate_every'?"),
+        ("{parameters: {zzzz: 3}}", "expected one of buffer_size, "),
+    ],
+)
+def test_an_unknown_parameter_gets_the_nearest_name_and_no_old_one(
+    tmp_path: Path, written: str, said: str
+) -> None:
+    file = tmp_path / "fleet.yaml"
+    file.write_text(GOOD.replace("federated_server: {}", f"federated_server: {written}"))
+    with pytest.raises(InputFileError) as error:
+        load_fleet(file)
+    assert said in str(error.value)
+    assert "judge_every" not in str(error.value)

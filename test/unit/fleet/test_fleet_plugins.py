@@ -101,3 +101,15 @@ def test_a_dry_run_loads_plugins_too(fleet: Path, capsys: pytest.CaptureFixture[
     (fleet.parent / "red.py").write_text("class Red:", encoding="utf-8")
     assert main(["up", str(fleet), "--dry-run"]) == 2
     assert "red.py" in capsys.readouterr().err
+
+
+def test_a_dry_run_shows_no_image_size_that_is_not_known(
+    fleet: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["up", str(fleet), "--dry-run"]) == 0
+    shown = capsys.readouterr().out
+    assert "image_width" not in shown
+    assert "Image sizes of north are asked for" in shown
+    fleet.write_text(FLEET.replace("    model:", "    image_size: [960, 540]\n    model:"), "utf-8")
+    assert main(["up", str(fleet), "--dry-run"]) == 0
+    assert "image_width=960" in capsys.readouterr().out.replace("\n", "")
