@@ -29,7 +29,7 @@ from geoorbit_ros.detection.detector import (
     Detector,
     DetectorSettings,
     make_detector,
-    without_effect,
+    remarks_on,
 )
 from geoorbit_ros.storage.atomic import atomic_output
 from geoorbit_ros.storage.frames.source import FrameSource, LeftOut, StampedImage
@@ -162,7 +162,7 @@ def prepared_run(
             kept.load()
         with status("loading"):
             detector = make_detector(model, settings)
-        if note := without_effect(detector, settings):
+        for note in remarks_on(detector, settings):
             error_console.print(note, soft_wrap=True)
         warm_up_detector(detector, images, options.duration_s, options.left_out)
         yield images, DetectionRun(detector, kept, options.left_out)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -130,11 +130,26 @@ def _returns(settings: DetectorSettings) -> Mapping[str, Returns]:
     return {"detect": Returns(rows, check), "name": Returns("a text, not empty", check_name)}
 
 
+@runtime_checkable
+class HasRemarks(Protocol):
+    """A detector that has something to say about its model."""
+
+    remarks: tuple[str, ...]
+
+
 def without_effect(detector: Detector, settings: DetectorSettings) -> str | None:
     """A sentence about settings that a plug-in does not take; None: there are none."""
     if not settings.class_names or isinstance(detector, plugins.TakesSettings):
         return None
     return f"class names have no effect: {type(detector).__name__} has no method `from_settings`"
+
+
+def remarks_on(detector: Detector, settings: DetectorSettings) -> Iterator[str]:
+    """Sentences that a user should read: settings without effect, and the detector's own."""
+    if note := without_effect(detector, settings):
+        yield note
+    if isinstance(detector, HasRemarks):
+        yield from detector.remarks
 
 
 @runtime_checkable

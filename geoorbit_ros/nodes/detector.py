@@ -25,7 +25,7 @@ from geoorbit_ros.detection.detector import (
     Detector,
     DetectorSettings,
     make_detector,
-    without_effect,
+    remarks_on,
 )
 from geoorbit_ros.detection.road_segments import Contour, RoadSegments
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
@@ -121,7 +121,7 @@ class DetectorNode(GeoOrbitNode[DetectorParameters]):
             p.threads,
         )
         detector = make_detector(Path(p.model) if p.model else None, settings)
-        if note := without_effect(detector, settings):
+        for note in remarks_on(detector, settings):
             self.get_logger().warning(note)
         return detector
 

@@ -1,8 +1,8 @@
-"""How YOLO exports write their boxes: the three layouts, and which of them a model's output has."""
+"""How exports write their boxes: the layouts that are known."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Protocol
@@ -10,9 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.core.class_names import COCO_NAMES
 from geoorbit_ros.detection.detector import ModelError
-from geoorbit_ros.detection.onnx.session import OnnxMetadata
 
 GRID_STRIDES = ((8, 16, 32), (8, 16, 32, 64))
 """Cells of these sizes, in this order, each giving one box; the second set has a P6 head."""
@@ -86,10 +84,33 @@ class RawLayout:
 
 
 @dataclass(frozen=True, slots=True)
-class NmsFreeLayout:
-    """(N, 6): corners, score, class (YOLO26, YOLOv10, exports with `nms=True`)."""
+class TransposedLayout:
+    """(N, 4 + classes): as `RawLayout` with rows and columns exchanged."""
 
-    name: str = "NMS-free 1xNx6"
+    name: str = "raw 1xNx(4+classes)"
+    suppressed: bool = False
+
+    def candidates(
+        self,
+        output: NDArray[np.float32],
+        canvas: tuple[int, int],
+        wanted: NDArray[np.int64],
+        min_score: float,
+    ) -> Candidates:
+        """See `Layout`."""
+        return RawLayout().candidates(output.T, canvas, wanted, min_score)
+
+
+@dataclass(frozen=True, slots=True)
+class TransformerLayout:
+    """(N, 4 + classes): centre and size in shares of the canvas, class scores (RT-DETR, DETR).
+
+    Attributes:
+        logits: Whether scores lack the sigmoid.
+    """
+
+    logits: bool
+    name: str = "transformer 1xNx(4+classes)"
     suppressed: bool = True
 
     def candidates(
@@ -100,9 +121,136 @@ class NmsFreeLayout:
         min_score: float,
     ) -> Candidates:
         """See `Layout`."""
-        kept = output[output[:, 4] > min_score]
-        kept = kept[np.isin(kept[:, 5], wanted)]
-        return Candidates(kept[:, :4], kept[:, 4], kept[:, 5].astype(np.int64))
+        scaled = output.copy()
+        scaled[:, :4] *= np.array([*canvas, *canvas], np.float32)
+        if self.logits:
+            scaled[:, 4:] = _sigmoid(scaled[:, 4:])
+        return RawLayout().candidates(scaled.T, canvas, wanted, min_score)
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """Where a row has what.
+
+    Attributes:
+        box: First of the four columns of the box.
+        centre: Whether they are centre and size; else two corners.
+        score: Column of the score.
+        kind: Column of the class; -1: there is none.
+        second: Column of a second score, -1: none.
+        product: Whether the two scores are multiplied (objectness and the only class); else they
+            are those of two classes.
+        batch: Column of the image's number, -1: none.
+        shares: Whether boxes are in shares of the canvas.
+        logits: Whether scores lack the sigmoid.
+    """
+
+    box: int = 0
+    centre: bool = False
+    score: int = 4
+    kind: int = 5
+    second: int = -1
+    product: bool = False
+    batch: int = -1
+    shares: bool = False
+    logits: bool = False
+
+    @property
+    def words(self) -> str:
+        """The columns in their order."""
+        box = ["centre", "size"] if self.centre else ["corners"]
+        parts = {self.box: ", ".join(box)}
+        if self.second >= 0:
+            names = ("objectness", "class score") if self.product else ("two class scores",)
+            parts |= {self.score + k: name for k, name in enumerate(names)}
+        else:
+            parts |= {self.score: "score", self.kind: "class"}
+        if self.batch >= 0:
+            parts[self.batch] = "image"
+        return ", ".join(parts[k] for k in sorted(parts))
+
+
+class TableLayout:
+    """(N, 6) or (N, 7): one box a row, in columns of any order.
+
+    What they mean is known once a model has found something, which it need not on a grey canvas.
+
+    Args:
+        meaning: Tells what they mean; None: the rows don't say anything.
+        columns: What it said of a grey canvas.
+        named: How many classes the model has; 0 when that is not known.
+        suppressed: Whether the model itself keeps one box per vehicle.
+        place: The model's file, for the error.
+    """
+
+    def __init__(
+        self,
+        meaning: Callable[[NDArray[np.float32]], Columns | None],
+        columns: Columns | None,
+        named: int,
+        suppressed: bool,
+        place: str,
+    ) -> None:
+        self.suppressed = suppressed
+        self._meaning, self._columns, self._named, self._place = meaning, columns, named, place
+        self._found = False
+
+    @property
+    def name(self) -> str:
+        """See `Layout`."""
+        if self._columns is None or self._columns == Columns():
+            return "NMS-free 1xNx6" if self.suppressed else "corners, score, class 1xNx6"
+        return f"{self._columns.words} 1xN"
+
+    def candidates(
+        self,
+        output: NDArray[np.float32],
+        canvas: tuple[int, int],
+        wanted: NDArray[np.int64],
+        min_score: float,
+    ) -> Candidates:
+        """See `Layout`.
+
+        Raises:
+            ModelError: Columns that mean nothing known, or a class without a name.
+        """
+        if self._columns is None:
+            self._columns = self._meaning(output)
+        if (columns := self._columns) is None:
+            return _NOTHING
+        rows, score, kind = _scored(output, columns)
+        kept = np.flatnonzero(score > min_score)
+        box = rows[kept, columns.box : columns.box + 4]
+        if not columns.centre and (box[:, 2:] < box[:, :2]).any():
+            # What a grey canvas showed was chance.
+            self._columns = None if self._found else self._meaning(output)
+            if self._columns is None or not self._columns.centre:
+                found = "a box whose second corner is left of or above its first"
+                raise ModelError(self._place, found, "columns of the same meaning in all boxes")
+            return self.candidates(output, canvas, wanted, min_score)
+        if self._named and (kind[kept] >= self._named).any():
+            found = f"class number {int(kind[kept].max())} of {self._named} classes"
+            raise ModelError(self._place, found, "a name for each class (option class_names)")
+        self._found = self._found or len(kept) > 0
+        if columns.shares:
+            box = box * np.array([*canvas, *canvas], np.float32)
+        box = _corners(box) if columns.centre else box
+        ours = np.isin(kind[kept], wanted)
+        return Candidates(box[ours], score[kept][ours], kind[kept][ours].astype(np.int64))
+
+
+def _scored(
+    output: NDArray[np.float32], columns: Columns
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.floating]]:
+    """Rows of the first image, their score and their class."""
+    rows = output if columns.batch < 0 else output[output[:, columns.batch] == 0.0]
+    if columns.second < 0:
+        return rows, rows[:, columns.score], rows[:, columns.kind]
+    pair = rows[:, columns.score : columns.score + 2]
+    pair = _sigmoid(pair) if columns.logits else pair
+    if columns.product:
+        return rows, pair.prod(axis=1), np.zeros(len(rows), np.float32)
+    return rows, pair.max(axis=1), pair.argmax(axis=1).astype(np.float32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,10 +260,14 @@ class GridLayout:
     Attributes:
         strides: Cell sizes, pixels.
         decoded: Whether the model already turned offsets and log sizes into canvas pixels.
+        rgb: Whether images are prepared as for YOLOv5 to 7 (red first, 0 to 1, in the middle).
+        shares: Whether centre and size are shares of the canvas.
     """
 
     strides: tuple[int, ...]
     decoded: bool
+    rgb: bool = False
+    shares: bool = False
     name: str = "grid 1xNx(5+classes)"
     suppressed: bool = False
 
@@ -138,6 +290,8 @@ class GridLayout:
         ours = (score > min_score) & np.isin(best, wanted)
         near, best, score = near[ours], best[ours], score[ours]
         boxes = output[near, :4].copy()
+        if self.shares:
+            boxes *= np.array([*canvas, *canvas], np.float32)
         if not self.decoded:
             corner, stride = grid_cells(canvas, self.strides)
             boxes[:, :2] = (boxes[:, :2] + corner[near]) * stride[near, None]
@@ -169,71 +323,8 @@ def _corners(boxes: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.concatenate([boxes[:, :2] - half, boxes[:, :2] + half], axis=1)
 
 
-KNOWN = (
-    "one output 1x(4+classes)xN (YOLOv8, 11, 12), 1xNx6 (YOLO26, YOLOv10, exports with NMS) or "
-    "1xNx(5+classes) with one box per grid cell (YOLOX)"
-)
+def _sigmoid(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    return np.asarray(1.0 / (1.0 + np.exp(-np.clip(values, -50.0, 50.0))), np.float32)
 
 
-def choose_layout(
-    outputs: list[NDArray[np.float32]],
-    canvas: tuple[int, int],
-    metadata: OnnxMetadata,
-    names: Mapping[int, str],
-    place: str,
-) -> tuple[Layout, Mapping[int, str], int]:
-    """Layout, class names and number of classes of a model.
-
-    Args:
-        outputs: What the model wrote for one grey canvas.
-        canvas: Width and height of that canvas.
-        metadata: What the file says.
-        names: Names given by the user; they go before those in the file.
-        place: The model's file, for the error.
-
-    Raises:
-        ModelError: Outputs of any other shape, or class names that are not known.
-    """
-    seen = ", ".join("x".join(map(str, output.shape)) for output in outputs) or "no output"
-    said = f"{_plural(len(outputs), 'output')} {seen} for an input of {canvas[0]}x{canvas[1]}"
-    refusal = ModelError(place, said, KNOWN)
-    if len(outputs) != 1 or outputs[0].ndim != 3 or outputs[0].dtype.kind != "f":
-        raise refusal
-    output = outputs[0][0]
-    names = names or metadata.names
-    layout, count = _by_shape(output, canvas, metadata, len(names))
-    if layout is None:
-        raise refusal
-    if not names and count in (0, len(COCO_NAMES)):
-        # Files without metadata have the 80 classes of COCO, unless the user names others.
-        names = dict(enumerate(COCO_NAMES))
-    if not names:
-        expected = "metadata 'names' in the file, or the option class_names"
-        raise ModelError(place, f"{count} classes without names", expected)
-    if count and len(names) != count:
-        raise ModelError(place, f"{len(names)} class names", f"{count}, as its output {seen} says")
-    return layout, names, count or max(names) + 1
-
-
-def _by_shape(
-    output: NDArray[np.float32], canvas: tuple[int, int], metadata: OnnxMetadata, named: int
-) -> tuple[Layout | None, int]:
-    """The layout of (A, B), None when it is none; its number of classes, 0 when it can't say."""
-    a, b = output.shape
-    for strides in GRID_STRIDES:
-        cells = cell_count(canvas, strides)
-        raw = b == cells and a > 4
-        grid = a == cells and b > 5 and metadata.task is None
-        if raw and not metadata.end2end:
-            return RawLayout(), a - 4
-        if grid and (b != 6 or named == 1):
-            # Decoded centres lie all over the canvas, offsets within a cell or two.
-            decoded = bool(np.median(output[:, 0]) > 0.25 * canvas[0])
-            return GridLayout(strides, decoded), b - 5
-    if b == 6:
-        return NmsFreeLayout(), 0
-    return None, 0
-
-
-def _plural(count: int, word: str) -> str:
-    return word if count == 1 else f"{count} {word}s"
+_NOTHING = Candidates(np.empty((0, 4), np.float32), np.empty(0, np.float32), np.empty(0, np.int64))

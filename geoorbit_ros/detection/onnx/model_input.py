@@ -83,19 +83,25 @@ class ModelInput:
     """The input tensor of one model.
 
     Args:
-        dtype: Of the tensor, float32 or float16.
+        dtype: Of the tensor, floats or uint8.
         batch: Images per run that the model asks for; 0 when it takes any number.
-        scale: Factor on samples from 0 to 255.
+        scale: Factor on samples from 0 to 255; bytes keep these.
         swap: Whether the model reads red first; images are blue first.
     """
 
-    def __init__(self, dtype: type[np.floating], batch: int, *, scale: float, swap: bool) -> None:
-        self._batch, self._scale, self._swap = batch, np.float32(scale), swap
+    def __init__(self, dtype: type[np.number], batch: int, *, scale: float, swap: bool) -> None:
+        bytes_ = dtype is np.uint8
+        self._scale = np.uint8(1) if bytes_ else np.float32(scale)
+        self._batch, self._swap, self._grey = (
+            batch,
+            swap,
+            self._scale * (GREY if bytes_ else np.float32(GREY)),
+        )
         self._tensor = np.zeros((0, 3, 0, 0), dtype=dtype)
         self._drawn: list[Letterbox | None] = []
         self._planes: list[NDArray[np.uint8]] = []
 
-    def filled(self, boxes: Sequence[Letterbox], images: Sequence[Image]) -> NDArray[np.floating]:
+    def filled(self, boxes: Sequence[Letterbox], images: Sequence[Image]) -> NDArray[np.number]:
         """(B, 3, H, W) tensor with each image in its letterbox; valid until the next call.
 
         Args:
@@ -115,7 +121,7 @@ class ModelInput:
     def _draw(self, number: int, box: Letterbox, image: Image) -> None:
         canvas, before = self._tensor[number], self._drawn[number]
         if before is None or (before.offset, before.scaled_size) != (box.offset, box.scaled_size):
-            canvas[...] = self._scale * np.float32(GREY)
+            canvas[...] = self._grey
         self._drawn[number] = box
         (left, top), (width, height) = box.offset, box.scaled_size
         inner = canvas[:, top : top + height, left : left + width]

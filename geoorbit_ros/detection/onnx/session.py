@@ -24,7 +24,12 @@ _PREFERRED = (
 )
 """Without a wish: of these, all that this onnxruntime has. TensorRT only on request: it compiles
 for minutes first."""
-_FLOATS: dict[str, type[np.floating]] = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
+_TYPES: dict[str, type[np.number]] = {
+    "tensor(float)": np.float32,
+    "tensor(float16)": np.float16,
+    "tensor(double)": np.float64,
+    "tensor(uint8)": np.uint8,
+}
 _DEFAULT_SIDE_PX = 640
 """Width and height of an input of open size whose file doesn't say: the default of `yolo
 export`."""
@@ -79,6 +84,8 @@ def parse_metadata(entries: Mapping[str, str], place: str) -> OnnxMetadata:
     _check(isinstance(stride, int) and stride > 0, entries, "stride", place)
     arguments = _value(entries, "args", place, {})
     end2end = _value(entries, "end2end", place, None)
+    if isinstance(arguments, dict) and arguments.get("nms"):
+        end2end = True
     return OnnxMetadata(
         task=task,
         names={int(number): str(name) for number, name in names.items()},
@@ -116,7 +123,8 @@ class OnnxSession:
         metadata: What the file says about itself.
         canvas: Width and height of its input, at most where `metadata.dynamic`.
         batch: Images per run; 0 when any number is taken.
-        dtype: Type of its input.
+        dtype: Type of its input; uint8: samples from 0 to 255.
+        channels_last: Whether its input is (B, H, W, 3).
     """
 
     place: str
@@ -125,14 +133,17 @@ class OnnxSession:
     metadata: OnnxMetadata
     canvas: tuple[int, int]
     batch: int
-    dtype: type[np.floating]
+    dtype: type[np.number]
+    channels_last: bool
 
-    def run(self, tensor: NDArray[np.floating]) -> list[NDArray[np.float32]]:
+    def run(self, tensor: NDArray[np.number]) -> list[NDArray[np.float32]]:
         """All outputs as float32 for a tensor (B, 3, H, W) of `dtype`.
 
         Raises:
             ModelError: The model fails on it.
         """
+        if self.channels_last:
+            tensor = np.ascontiguousarray(tensor.transpose(0, 2, 3, 1))
         try:
             outputs = self.session.run(None, {self.input_name: tensor})
         except Exception as error:  # onnxruntime's classes share no other base
@@ -174,15 +185,20 @@ def load_session(path: Path, providers: Sequence[str] = (), threads: int = 0) ->
     inputs = session.get_inputs()
     shape = list(inputs[0].shape) if inputs else []
     kind = inputs[0].type if inputs else ""
-    sound = len(inputs) == 1 and len(shape) == 4 and kind in _FLOATS
-    if not sound or (isinstance(shape[1], int) and shape[1] != 3):
+    sound = len(inputs) == 1 and len(shape) == 4 and kind in _TYPES
+    channels_last = sound and shape[3] == 3 and shape[1] != 3
+    if not sound or (isinstance(shape[1], int) and shape[1] != 3 and not channels_last):
         each = " and ".join(f"{'x'.join(map(str, i.shape))} {i.type}" for i in inputs)
-        raise ModelError(place, f"input {each or 'of nothing'}", "one input Bx3xHxW of floats")
+        expected = "one input Bx3xHxW or BxHxWx3 of floats or bytes"
+        raise ModelError(place, f"input {each or 'of nothing'}", expected)
     said = metadata.canvas or (_DEFAULT_SIDE_PX, _DEFAULT_SIDE_PX)
-    height, width = (n if isinstance(n, int) else said[1 - k] for k, n in enumerate(shape[2:]))
+    sides = shape[1:3] if channels_last else shape[2:]
+    height, width = (n if isinstance(n, int) else said[1 - k] for k, n in enumerate(sides))
     batch = shape[0] if isinstance(shape[0], int) else 0
     name = inputs[0].name
-    return OnnxSession(place, session, name, metadata, (width, height), batch, _FLOATS[kind])
+    return OnnxSession(
+        place, session, name, metadata, (width, height), batch, _TYPES[kind], channels_last
+    )
 
 
 def _usable(wanted: Sequence[str], place: str) -> list[str]:

@@ -10,10 +10,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.core.class_names import shorten, vehicle_class
+from geoorbit_ros.core.class_names import COCO_NAMES, shorten, vehicle_class
 from geoorbit_ros.core.plugins import register
 from geoorbit_ros.detection.detector import DetectorSettings, ModelError, as_bgr, detection_rows
-from geoorbit_ros.detection.onnx.layouts import Candidates, GridLayout, choose_layout
+from geoorbit_ros.detection.onnx.choose import choose_layout
+from geoorbit_ros.detection.onnx.layouts import Candidates, GridLayout
 from geoorbit_ros.detection.onnx.model_input import GREY, Letterbox, ModelInput, centred, cornered
 from geoorbit_ros.detection.onnx.session import load_session
 
@@ -74,7 +75,8 @@ class OnnxYolo:
         self._model = load_session(path, self.settings.providers, self.settings.threads)
         place, canvas = self._model.place, self._model.canvas
         # The first run also shows the shapes that a dynamic export leaves open, and warms up.
-        grey = np.full((1, 3, canvas[1], canvas[0]), GREY / 255.0, dtype=self._model.dtype)
+        level = GREY if self._model.dtype is np.uint8 else GREY / 255.0
+        grey = np.full((1, 3, canvas[1], canvas[0]), level, dtype=self._model.dtype)
         outputs = self._model.run(grey.repeat(self._model.batch or 1, axis=0))
         given: Mapping[int, str] = dict(enumerate(self.settings.class_names))
         self._layout, self.names, count = choose_layout(
@@ -82,7 +84,9 @@ class OnnxYolo:
         )
         self._coco = vehicle_classes(self.names, count, place)
         self._wanted = np.flatnonzero(self._coco >= 0)
-        self._yolox = isinstance(self._layout, GridLayout)
+        self._yolox = isinstance(self._layout, GridLayout) and not self._layout.rgb
+        self._flat = all(output.ndim == 2 for output in outputs)
+        self.remarks = tuple(_remarks(self.names, place))
         scale = 1.0 if self._yolox else 1.0 / 255.0
         self._input = ModelInput(
             self._model.dtype, self._model.batch, scale=scale, swap=not self._yolox
@@ -117,13 +121,14 @@ class OnnxYolo:
         """
         pixels = [as_bgr(image) for image in images]
         boxes = [self._letterbox((each.shape[1], each.shape[0])) for each in pixels]
-        same = len({box.canvas_size for box in boxes}) == 1
+        same = len({box.canvas_size for box in boxes}) == 1 and not self._flat
         most = (self._model.batch or len(boxes)) if same else 1
         rows: list[NDArray[np.void]] = []
         for start in range(0, len(boxes), max(most, 1)):
             part = slice(start, start + max(most, 1))
-            (outputs,) = self._model.run(self._input.filled(boxes[part], pixels[part]))
-            rows += map(self._read, boxes[part], outputs)
+            outputs = self._model.run(self._input.filled(boxes[part], pixels[part]))
+            (output,) = (each for each in outputs if each.ndim < 5)
+            rows += map(self._read, boxes[part], [output] if self._flat else output)
         return rows
 
     def _letterbox(self, size: tuple[int, int]) -> Letterbox:
@@ -145,6 +150,17 @@ class OnnxYolo:
         return detection_rows(box.to_image(found.boxes), found.score, classes, box.image_size)
 
 
+def _remarks(names: Mapping[int, str], place: str) -> Iterable[str]:
+    """What a user should know about the names of a model's classes."""
+    other = [name for name in names.values() if vehicle_class(name) is None]
+    if other and tuple(names.values()) != COCO_NAMES:
+        taken = shorten([name for name in names.values() if vehicle_class(name) is not None])
+        yield (
+            f"{place}: taken for vehicles: {taken}; not taken: {shorten(other)}. Names are English "
+            "words such as car, van, truck, bus, motorcycle; class names can be given as an option"
+        )
+
+
 def vehicle_classes(names: Mapping[int, str], count: int, place: str) -> NDArray[np.int64]:
     """(count,) COCO number of each of a model's classes, -1 where it is no vehicle.
 
@@ -158,5 +174,6 @@ def vehicle_classes(names: Mapping[int, str], count: int, place: str) -> NDArray
             found[number] = coco
     if (found < 0).all():
         said = f"classes {shorten(list(names.values()))}" if names else "no class names"
-        raise ModelError(place, said, "at least one of car, van, truck, bus, motorcycle")
+        expected = "at least one of car, van, truck, bus, motorcycle (option class_names)"
+        raise ModelError(place, said, expected)
     return found
