@@ -36,6 +36,8 @@ _OTHERS: tuple[tuple[bytes, str, str], ...] = (
     (b"\xff\xe0\x04o5m2", "an extract in o5m", "OSM XML: osmconvert area.o5m -o=area.osm"),
     (b"SQLite format 3", "an SQLite database", EXPECTED),
 )
+_ORDER = {"node": 1, "way": 2, "relation": 3}
+"""netconvert wants nodes before the ways that use them."""
 _ROOTS = {
     "net": ("a SUMO network", "an extract; a network is given with --net"),
     "OpenDRIVE": ("an OpenDRIVE road", f"{EXPECTED}; netconvert --opendrive makes a network of it"),
@@ -113,6 +115,7 @@ def read_extract(path: Path, strict: bool = False) -> OsmExtract:
     _drop_bad_nodes(root, report)
     _drop_bad_ways(root, report)
     _number_new_ways(root, report)
+    root[:] = sorted(root, key=lambda element: _ORDER.get(element.tag, 0))
     roads = list(roads_of(root))
     if not roads:
         why = report.remarks[0].sentence(report.total, report.things) if report.remarks else ""
