@@ -44,7 +44,7 @@ class MadeExtract:
 
     def text(self, root: str = '<osm version="0.6">') -> str:
         """The file's text."""
-        places = self.datum.to_geodetic(list(self._nodes)) if self._nodes else []
+        places = self.datum.to_geodetic(list(self._nodes) or [(0.0, 0.0)])[: len(self._nodes)]
         nodes = "".join(
             f'<node id="{number}" version="1" lat="{lat:.8f}" lon="{lon:.8f}" '
             f"{self._extra.get(point, ('', {}))[0]}>{_tags(self._extra.get(point, ('', {}))[1])}"
@@ -105,7 +105,7 @@ class MadeCamera:
             seen = (depth > 0) & (pixel >= 0).all(axis=1) & (pixel < (1920, 1080)).all(axis=1)
             start = round((begin_s + number * every_s) * 10)
             for k in np.flatnonzero(seen).tolist():
-                self._rows.append((*pixel[k].tolist(), start + k, self._tracks, coco_class))  # type: ignore[arg-type]
+                self._rows.append((*pixel[k].tolist(), start + k, self._tracks, coco_class))
 
     @property
     def tracks(self) -> int:

@@ -55,7 +55,7 @@ def export(
     from geoorbit_ros.exchange.opendrive import to_opendrive
     from geoorbit_ros.exchange.sumo import to_sumo
     from geoorbit_ros.lanes.geojson import LaneFile, dumps_lanes, read_lane_file
-    from geoorbit_ros.roadnet.driving_side import choose_side
+    from geoorbit_ros.roadnet.driving_side import MapEvidence, choose_side
     from geoorbit_ros.storage.atomic import atomic_output
 
     def to_geojson(file: LaneFile) -> str:
@@ -64,7 +64,7 @@ def export(
 
     def as_sumo(file: LaneFile) -> str:
         given = parse_driving_side(driving_side)
-        side = choose_side(given, {}, 0.0, file.datum, str(lanes))
+        side = choose_side(given, MapEvidence({}, {}, 0.0), file.datum, str(lanes))
         console.print(f" {side.sentence}", soft_wrap=True)
         return to_sumo(file, side.side)
 

@@ -419,8 +419,13 @@ def parse_driving_side(text: str | None) -> Side | None:
     Raises:
         ParameterError: Neither.
     """
-    if text is None or text in ("left", "right"):
-        return text
+    from geoorbit_ros.roadnet.driving_side import SIDES
+
+    for side in SIDES:
+        if text == side:
+            return side
+    if text is None:
+        return None
     raise ParameterError("option --driving-side", repr(text), "left or right")
 
 

@@ -7,7 +7,7 @@ The place is looked up in `left_traffic.csv`, which holds the areas where traffi
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Literal
@@ -71,21 +71,47 @@ def side_at(latitude_deg: float, longitude_deg: float) -> Side | None:
     return "left" if left else "right"
 
 
-def choose_side(
-    given: Side | None, tagged_m: Mapping[Side, float], roads_m: float, place: Datum, name: str
-) -> DrivingSide:
+@dataclass(frozen=True, slots=True)
+class MapEvidence:
+    """What a map says about the side.
+
+    Attributes:
+        tagged_m: Metres of road whose tags say left, and right.
+        rings: How many roundabouts turn as on the left (clockwise), and as on the right.
+        roads_m: Metres of road in all.
+    """
+
+    tagged_m: Mapping[Side, float]
+    rings: Mapping[Side, int]
+    roads_m: float
+
+
+def choose_side(given: Side | None, evidence: MapEvidence, place: Datum, name: str) -> DrivingSide:
     """The side of a map: as given, else as most of its roads are tagged, else by the place.
+
+    Near a border the roundabouts decide, if all turn the same way.
 
     Args:
         given: What the user says.
-        tagged_m: Metres of road whose tags say left, and right.
-        roads_m: Metres of road in all.
+        evidence: What the map says.
         place: Where the map lies.
         name: The map, for the error.
 
     Raises:
         ParameterError: Nothing says it.
     """
+    found = _choose(given, evidence, place, name)
+    other: Side = "right" if found.side == "left" else "left"
+    against = evidence.rings.get(other, 0)
+    if not against:
+        return found
+    way = "clockwise" if other == "left" else "anticlockwise"
+    rings = f"{against} of its roundabouts turn {way}"
+    return replace(found, doubt="; ".join(filter(None, (found.doubt, rings))))
+
+
+def _choose(given: Side | None, evidence: MapEvidence, place: Datum, name: str) -> DrivingSide:
+    tagged_m, roads_m = evidence.tagged_m, evidence.roads_m
     by_place = side_at(place.latitude_deg, place.longitude_deg)
     where = f"at {place.latitude_deg:.3f}, {place.longitude_deg:.3f}"
     tags = max(SIDES, key=lambda side: tagged_m.get(side, 0.0))
@@ -102,6 +128,9 @@ def choose_side(
     if sure and (by_place is None or tagged >= TAGGED_SHARE * roads_m):
         doubt = f"{where} one drives on the {by_place}" if by_place not in (None, tags) else ""
         return DrivingSide(tags, "by the tags driving_side of its roads", doubt)
+    rings = [side for side, count in evidence.rings.items() if count]
+    if by_place is None and len(rings) == 1:
+        return DrivingSide(rings[0], "as its roundabouts turn")
     if by_place is None:
         found = f"a place {where}, near a border between left and right, and no tags driving_side"
         raise ParameterError(name, found, "--driving-side left or right")

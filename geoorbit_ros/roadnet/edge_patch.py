@@ -15,7 +15,8 @@ from geoorbit_ros.core.polylines import offset_line
 from geoorbit_ros.roadnet.driving_side import Side
 from geoorbit_ros.roadnet.lane_access import WayCounts, lane_plans
 from geoorbit_ros.roadnet.network_file import ALL_CLASSES, BOTH_WAYS, allowed_classes
-from geoorbit_ros.roadnet.osm_extract import OsmExtract, roads_of, tags_of
+from geoorbit_ros.roadnet.osm_extract import OsmExtract
+from geoorbit_ros.roadnet.osm_file import roads_of, tags_of
 
 
 def edge_patch(

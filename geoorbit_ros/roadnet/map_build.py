@@ -23,7 +23,8 @@ from geoorbit_ros.roadnet.lane_access import WayCounts, prepared
 from geoorbit_ros.roadnet.netconvert import drop_header, netconvert, netconvert_version
 from geoorbit_ros.roadnet.network import RoadNetwork, load_network
 from geoorbit_ros.roadnet.network_file import parse_xml
-from geoorbit_ros.roadnet.osm_extract import OsmExtract, read_extract, roads_of, set_tags
+from geoorbit_ros.roadnet.osm_extract import OsmExtract, read_extract
+from geoorbit_ros.roadnet.osm_file import roads_of, set_tags
 
 Move = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 """Takes points (N, 2) to where they are to be."""
@@ -95,7 +96,7 @@ def build_from_osm(
         ParameterError: The side of the road can't be known.
     """
     extract = read_extract(area, strict)
-    chosen = choose_side(side, extract.tagged_m, extract.length_m, extract.middle, str(area))
+    chosen = choose_side(side, extract.evidence, extract.middle, str(area))
     datum = datum or extract.middle
     options = [
         *_OSM_OPTIONS,

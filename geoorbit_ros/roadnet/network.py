@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -158,7 +158,7 @@ class RoadNetwork:
             return not self.for_motors[after], abs(float(apart))
 
         return tuple(
-            min(nexts, key=lambda after, lane=lane: turn(lane, after), default=NO_LANE)
+            min(nexts, key=partial(turn, lane), default=NO_LANE)
             for lane, nexts in enumerate(self.successors)
         )
 

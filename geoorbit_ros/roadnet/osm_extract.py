@@ -6,11 +6,9 @@ file is refused when it has no road, or when most of its roads are bad.
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree as Xml
 
 import numpy as np
@@ -18,34 +16,17 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.core.input_report import InputReport, Treatment
-from geoorbit_ros.roadnet.driving_side import SIDES, Side
+from geoorbit_ros.roadnet.driving_side import SIDES, MapEvidence, Side
 from geoorbit_ros.roadnet.errors import RoadNetworkError
-from geoorbit_ros.roadnet.network_file import read_unpacked
+from geoorbit_ros.roadnet.osm_file import EXPECTED, parse_osm, roads_of, tags_of
 
-EXPECTED = "an OpenStreetMap extract (.osm, .osm.gz, .osm.bz2, or JSON of Overpass)"
 ELE_SHARE = 0.5
 """Heights are used where at least this share of the points of roads have one. Chosen: smaller makes
 cliffs at the points without, larger drops heights that a few points lack."""
-_OTHERS: tuple[tuple[bytes, str, str], ...] = (
-    (
-        b"OSMHeader",
-        "an extract in the binary format .osm.pbf",
-        "OSM XML: osmium cat area.osm.pbf -o area.osm (or osmconvert, or JOSM)",
-    ),
-    (b"PK\x03\x04", "a zip archive", "the extract in it: unzip it first"),
-    (b"\xff\xe0\x04o5m2", "an extract in o5m", "OSM XML: osmconvert area.o5m -o=area.osm"),
-    (b"SQLite format 3", "an SQLite database", EXPECTED),
-)
+_MINI: dict[str, Side] = {"clockwise": "left", "anticlockwise": "right"}
+"""Direction of a mini roundabout (wiki, highway=mini_roundabout), and the side of its traffic."""
 _ORDER = {"node": 1, "way": 2, "relation": 3}
 """netconvert wants nodes before the ways that use them."""
-_ROOTS = {
-    "net": ("a SUMO network", "an extract; a network is given with --net"),
-    "OpenDRIVE": ("an OpenDRIVE road", f"{EXPECTED}; netconvert --opendrive makes a network of it"),
-    "osmChange": ("changes of a map (osmChange)", EXPECTED),
-    "gpx": ("a GPX track", EXPECTED),
-    "kml": ("a KML file", EXPECTED),
-    "html": ("a web page, maybe a server's error message", EXPECTED),
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,42 +37,19 @@ class OsmExtract:
         root: Its `osm` element: every way has at least two points, all of them nodes with a place.
         report: What was repaired and left out.
         middle: Of the points of its roads, to seven decimals of a degree.
-        length_m: Of its roads.
-        tagged_m: Of those whose tags say on which side traffic drives.
+        evidence: What it says about the side on which traffic drives.
         has_heights: Whether its points have heights.
     """
 
     root: Xml.Element
     report: InputReport
     middle: Datum
-    length_m: float
-    tagged_m: dict[Side, float]
+    evidence: MapEvidence
     has_heights: bool
 
     def write(self, path: Path) -> None:
         """Write it as OSM XML."""
         Xml.ElementTree(self.root).write(path, encoding="utf-8", xml_declaration=True)
-
-
-def tags_of(element: Xml.Element) -> dict[str, str]:
-    """The tags of a node, way or relation."""
-    return {tag.get("k", ""): tag.get("v", "") for tag in element.iter("tag")}
-
-
-def set_tags(element: Xml.Element, tags: Mapping[str, str]) -> None:
-    """Replace the tags of a node, way or relation."""
-    for tag in element.findall("tag"):
-        element.remove(tag)
-    for key, value in tags.items():
-        Xml.SubElement(element, "tag", k=key, v=value)
-
-
-def roads_of(root: Xml.Element) -> Iterator[tuple[Xml.Element, dict[str, str]]]:
-    """The ways with the tag highway, with their tags."""
-    for way in root.iter("way"):
-        tags = tags_of(way)
-        if "highway" in tags:
-            yield way, tags
 
 
 def read_extract(path: Path, strict: bool = False) -> OsmExtract:
@@ -105,7 +63,7 @@ def read_extract(path: Path, strict: bool = False) -> OsmExtract:
         RoadNetworkError: No file, no extract, no road in it.
         InputFileError: Most of its roads are bad, or any of them, when `strict`.
     """
-    root = _parse(path)
+    root = parse_osm(path)
     report = InputReport(str(path), "roads")
     for remark in root.iter("remark"):
         text = " ".join((remark.text or "").split())
@@ -133,79 +91,11 @@ def read_extract(path: Path, strict: bool = False) -> OsmExtract:
         side: sum(m for m, (_, t) in zip(metres, roads, strict=True) if _side(t) == side)
         for side in SIDES
     }
+    turns = [_ring_side(line, tags) for line, (_, tags) in zip(lines, roads, strict=True)]
+    turns += [_MINI.get(tags_of(node).get("direction", "")) for node in _mini_roundabouts(root)]
+    rings = {side: turns.count(side) for side in SIDES}
     heights = _check_heights(root, roads, report)
-    return OsmExtract(root, report, middle, sum(metres), tagged, heights)
-
-
-def _parse(path: Path) -> Xml.Element:
-    """The tree of a file, whatever it is packed in.
-
-    Raises:
-        RoadNetworkError: No file, or none of an extract.
-    """
-    place, data = str(path), read_unpacked(path, EXPECTED)
-    text = data.lstrip(b"\xef\xbb\xbf \t\r\n")
-    for begin, found, expected in _OTHERS:
-        if begin in data[: 32 + len(begin)]:
-            raise RoadNetworkError(place, found, expected)
-    if not text:
-        raise RoadNetworkError(place, "an empty file", EXPECTED)
-    if text[:1] in (b"{", b"["):
-        return _tree_of_json(text, place)
-    try:
-        root = Xml.fromstring(data)
-    except Xml.ParseError as error:
-        page = text[:200].lower().startswith((b"<!doctype html", b"<html"))
-        found, expected = _ROOTS["html"] if page else (f"broken XML ({error})", EXPECTED)
-        raise RoadNetworkError(place, found, expected) from error
-    tag = root.tag.rpartition("}")[2]
-    if tag != "osm":
-        found, expected = _ROOTS.get(tag, (f"a file of <{tag}>", EXPECTED))
-        raise RoadNetworkError(place, found, expected)
-    return root
-
-
-def _tree_of_json(text: bytes, place: str) -> Xml.Element:
-    """The XML of Overpass's JSON.
-
-    Raises:
-        RoadNetworkError: No JSON, or JSON of something else.
-    """
-    try:
-        data: Any = json.loads(text)
-    except ValueError as error:
-        raise RoadNetworkError(place, f"broken JSON ({error})", EXPECTED) from error
-    kind = data.get("type") if isinstance(data, dict) else None
-    if kind in ("FeatureCollection", "Feature", "GeometryCollection"):
-        found = f"GeoJSON (a {kind}), which has no road network"
-        raise RoadNetworkError(place, found, EXPECTED)
-    elements = data.get("elements") if isinstance(data, dict) else None
-    if not isinstance(elements, list):
-        raise RoadNetworkError(place, "JSON that is no answer of Overpass", EXPECTED)
-    root = Xml.Element("osm", version="0.6")
-    if data.get("remark"):
-        Xml.SubElement(root, "remark").text = str(data["remark"])
-    for given in elements:
-        if not isinstance(given, dict) or given.get("type") not in ("node", "way", "relation"):
-            continue
-        names = {k: str(given[k]) for k in ("id", "lat", "lon", "version") if k in given}
-        element = Xml.SubElement(root, given["type"], names)
-        drawn = given.get("geometry") or []
-        refs = given.get("nodes") or [None] * len(drawn)
-        for k, ref in enumerate(refs):
-            point = drawn[k] if k < len(drawn) and isinstance(drawn[k], dict) else {}
-            nd = {} if ref is None else {"ref": str(ref)}
-            Xml.SubElement(
-                element, "nd", nd | {a: str(point[a]) for a in ("lat", "lon") if a in point}
-            )
-        if isinstance(given.get("center"), dict):
-            Xml.SubElement(element, "center")
-        for member in given.get("members") or []:
-            parts = {k: str(member[k]) for k in ("type", "ref", "role") if k in member}
-            Xml.SubElement(element, "member", parts)
-        for key, value in (given.get("tags") or {}).items():
-            Xml.SubElement(element, "tag", k=str(key), v=str(value))
-    return root
+    return OsmExtract(root, report, middle, MapEvidence(tagged, rings, sum(metres)), heights)
 
 
 def _drop_deleted(root: Xml.Element, report: InputReport) -> None:
@@ -263,7 +153,9 @@ def _drop_bad_ways(root: Xml.Element, report: InputReport) -> None:
             twice.append(number)
         if number not in best or _version(way) > _version(best[number]):
             best[number] = way
-    cut, short, lone = [], [], []
+    cut: list[str] = []
+    short: list[str] = []
+    lone: list[str] = []
     for way in root.findall("way"):
         points = way.findall("nd")
         lost = [nd for nd in points if nd.get("ref") not in known]
@@ -352,6 +244,22 @@ def _check_heights(
 
 def _side(tags: dict[str, str]) -> str:
     return tags.get("driving_side", "").strip().lower()
+
+
+def _ring_side(lat_lon: NDArray[np.float64], tags: dict[str, str]) -> Side | None:
+    """The side on which one drives round a closed roundabout as it is drawn."""
+    closed = len(lat_lon) > 3 and bool((lat_lon[0] == lat_lon[-1]).all())
+    if not closed or tags.get("junction") not in ("roundabout", "circular"):
+        return None
+    (y, x), (dy, dx) = (lat_lon[:-1] - lat_lon[0]).T, np.diff(lat_lon, axis=0).T
+    turns_left = float((x * dy - y * dx).sum()) > 0.0
+    return "right" if turns_left != (tags.get("oneway") == "-1") else "left"
+
+
+def _mini_roundabouts(root: Xml.Element) -> Iterator[Xml.Element]:
+    for node in root.iter("node"):
+        if any(t.get("k") == "highway" and t.get("v") == "mini_roundabout" for t in node):
+            yield node
 
 
 def _version(way: Xml.Element) -> int:

@@ -81,7 +81,10 @@ def save_twin_figure(path: Path, network: RoadNetwork, paths: VehiclePaths, titl
 
 
 def save_network_figure(path: Path, network: RoadNetwork) -> None:
-    """Draw a whole network in the map frame, north up, with arrows along its lanes."""
+    """Draw a whole network in the map frame, north up, with arrows along its lanes.
+
+    Lanes inside junctions are dotted, those that not all cars may use dashed.
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(10.0, 7.0))
@@ -89,7 +92,7 @@ def save_network_figure(path: Path, network: RoadNetwork) -> None:
     plot.set_aspect("equal", adjustable="datalim")
     for k in range(len(network)):
         line = network.line(k)
-        style = ":" if network.internal[k] else "-"
+        style = ":" if network.internal[k] else "-" if network.for_cars[k] else "--"
         colour = _COLOURS[int(network.index[k]) % len(_COLOURS)]
         plot.plot(line[:, 0], line[:, 1], style, color=colour, linewidth=0.8)
         if not network.internal[k]:
@@ -102,7 +105,8 @@ def save_network_figure(path: Path, network: RoadNetwork) -> None:
     plot.set_ylabel("north, m")
     side = "left" if network.left_hand else "right"
     plot.set_title(
-        f"{network.path.name}: traffic drives on the {side}, colours count lanes from the {side}",
+        f"{network.path.name}: traffic drives on the {side}, colours count lanes from the {side}; "
+        "dashed: not for all cars",
         fontsize=10,
     )
     figure.tight_layout()

@@ -7,6 +7,7 @@ from pathlib import Path
 from xml.etree import ElementTree as Xml
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geoorbit_ros.roadnet.network import NO_LANE, RoadNetwork
 from geoorbit_ros.roadnet.network_file import parse_xml
@@ -156,7 +157,10 @@ class _RouteDraw:
     def __init__(self, network: RoadNetwork, demand: Demand, random: np.random.Generator) -> None:
         self._finder, self._demand, self._random = RouteFinder(network), demand, random
         self.may = may_drive(network)
-        self._enter = {e: self.may[:, list(k)].any(axis=1) for e, k in network.lanes_of.items()}
+        self._enter: dict[str, NDArray[np.bool_]] = {
+            edge: np.asarray(self.may[:, list(lanes)].any(axis=1))
+            for edge, lanes in network.lanes_of.items()
+        }
 
     def may_enter(self, edge: str, kind: int) -> bool:
         """Whether vehicles of a type may drive in some lane of an edge."""

@@ -43,7 +43,7 @@ def driven(network: RoadNetwork) -> list[Lane]:
 
 def test_a_right_map_has_no_finding(network: RoadNetwork) -> None:
     found = validate(driven(network), network)
-    assert found.findings == found.notes == ()
+    assert (found.findings, found.notes) == ((), ())
     assert len(found.discrepancies.compared) == 6
 
 

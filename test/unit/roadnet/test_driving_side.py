@@ -12,9 +12,10 @@ from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.exchange.sumo import to_sumo
 from geoorbit_ros.lanes.geojson import LaneFile
-from geoorbit_ros.roadnet.driving_side import Side, choose_side, side_at, side_doubt
+from geoorbit_ros.roadnet.driving_side import MapEvidence, Side, choose_side, side_at, side_doubt
 from geoorbit_ros.roadnet.map_build import build_from_network, build_from_osm
 from geoorbit_ros.roadnet.network import RoadNetwork, load_network
+from geoorbit_ros.roadnet.osm_extract import read_extract
 from geoorbit_ros.roadnet.reference_lanes import reference_lanes
 
 EVERYWHERE = np.array([(-900.0, -900.0), (900.0, -900.0), (900.0, 900.0), (-900.0, 900.0)])
@@ -81,14 +82,17 @@ def test_the_side_of_a_place(name: str) -> None:
 def test_what_decides(
     given: Side | None, tagged: dict[Side, float], place: Datum, side: Side, words: str
 ) -> None:
-    found = choose_side(given, tagged, 1000.0, place, "area.osm")
+    found = choose_side(given, MapEvidence(tagged, {}, 1000.0), place, "area.osm")
     assert found.side == side
     assert words in found.sentence
 
 
 def test_near_a_border_the_user_is_asked() -> None:
     with pytest.raises(ParameterError, match=r"area\.osm.*border.*--driving-side left or right"):
-        choose_side(None, {}, 1000.0, Datum(17.967, 102.60), "area.osm")
+        choose_side(None, MapEvidence({}, {}, 1000.0), Datum(17.967, 102.60), "area.osm")
+    both = MapEvidence({}, {"left": 1, "right": 2}, 1000.0)
+    with pytest.raises(ParameterError, match="--driving-side"):
+        choose_side(None, both, Datum(17.967, 102.60), "area.osm")
 
 
 def built(tmp_path: Path, extract: MadeExtract, side: Side | None = None) -> RoadNetwork:
@@ -168,6 +172,8 @@ def test_roundabouts_turn_the_right_way(
         end = (ring[k][0] * 6.0, ring[k][1] * 6.0)
         extract.way(number, [ring[k], end], {"highway": "primary", "lanes": "2"})
     network = built(tmp_path, extract)
+    rings = read_extract(tmp_path / "area.osm").evidence.rings
+    assert rings == {"left": int(clockwise), "right": int(not clockwise)}
     text = network.path.read_text()
     assert text.count("<roundabout ") == 1
     inside = [
@@ -185,6 +191,17 @@ def test_roundabouts_turn_the_right_way(
     for arm in ("2", "3", "4", "5"):
         leads = {network.edge_id[j] for j in network.successors[network.number[f"-{arm}_0"]]}
         assert leads
+
+
+@pytest.mark.parametrize(("direction", "side"), [("clockwise", "left"), ("anticlockwise", "right")])
+def test_near_a_border_roundabouts_decide(tmp_path: Path, direction: str, side: Side) -> None:
+    extract = road(Datum(17.967, 102.60), {"lanes": "2"})
+    extract.node((0.0, 150.0), highway="mini_roundabout", direction=direction)
+    network = built(tmp_path, extract)
+    assert network.left_hand == (side == "left")
+    found = choose_side(None, MapEvidence({}, {"left": 2}, 9.0), BAVARIA, "a")
+    assert found.side == "right"
+    assert "2 of its roundabouts turn clockwise" in found.sentence
 
 
 def test_an_exported_network_has_its_lanes_where_they_are_and_its_side(tmp_path: Path) -> None:

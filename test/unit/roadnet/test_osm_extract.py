@@ -168,7 +168,7 @@ def test_what_can_be_used_is_used_and_told(tmp_path: Path, kind: str) -> None:
     assert (found.middle.latitude_deg, found.middle.longitude_deg) == pytest.approx(
         (48.2, 11.5), abs=1e-6
     )
-    assert found.length_m == pytest.approx(300.0, abs=0.1)
+    assert found.evidence.roads_m == pytest.approx(300.0, abs=0.1)
     assert sum(1 for _ in found.root.iter("way")) == 1
     said = " | ".join(found.report.sentences())
     for text in told:
@@ -338,5 +338,6 @@ def test_a_new_way_and_the_way_back_along_another_are_two_roads(tmp_path: Path) 
     extract = road(BAVARIA, {"lanes": "2"})
     extract.way(-10, [(30.0, -150.0), (30.0, 150.0)], {"highway": "primary", "lanes": "2"})
     network = build(tmp_path, extract).network
-    xs = sorted(round(float(network.line(k)[0, 0]), 2) for k in np.flatnonzero(~network.internal))
+    outside = np.flatnonzero(~network.internal).tolist()
+    xs = sorted(round(float(network.line(k)[0, 0]), 2) for k in outside)
     assert xs == [-1.75, 1.75, 28.25, 31.75]

@@ -63,7 +63,7 @@ def test_cars_beside_a_bus_lane_say_nothing_about_it(tmp_path: Path) -> None:
     assert [network.users(network.number[f"10_{k}"]) for k in range(3)] == ["buses", "", ""]
     (tmp_path / "out").mkdir()
     result = patch_network(seen(network, ["10_1", "10_2"]), network, tmp_path / "out")
-    assert result.before.findings == result.done == result.left == ()
+    assert (result.before.findings, result.done, result.left) == ((), (), ())
     assert [u.lane_id for u in result.before.discrepancies.unseen] == ["10_0"]
     assert "for buses" in result.before.discrepancies.unseen[0].sentence
     assert result.network.allowed == network.allowed
