@@ -25,7 +25,7 @@ from geoorbit_ros.core.errors import CalibrationError
 from geoorbit_ros.core.input_report import InputReport, Remark, Treatment
 from geoorbit_ros.core.tables import FLAG_PREDICTED, VEHICLE_CLASSES
 
-FAR_OUTSIDE = (0.2, 0.5)
+FAR_OUTSIDE = (0.2, 1.0)
 """Control points that lie these shares of the image's width and height beyond its border, in both
 or in one of them, belong to another image. Chosen: larger misses images of other sizes (1080 rows
 for 720 are 0.5), smaller doubts points that were projected from a survey into the image (65 px of
