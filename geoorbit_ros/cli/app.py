@@ -18,11 +18,10 @@ from geoorbit_ros.cli import map as road_map
 from geoorbit_ros.cli.demo import demo
 from geoorbit_ros.cli.detect import detect
 from geoorbit_ros.cli.export import export
-from geoorbit_ros.cli.lanes import lanes
+from geoorbit_ros.cli.lanes import lanes, score
 from geoorbit_ros.cli.process import process
 from geoorbit_ros.cli.replay import replay
 from geoorbit_ros.cli.report import report
-from geoorbit_ros.cli.score import score
 from geoorbit_ros.cli.status import status
 from geoorbit_ros.cli.track import track
 from geoorbit_ros.cli.train import evaluate, train

@@ -26,9 +26,9 @@ def demo(
     Example: [bold]geoorbit demo --out geoorbit-demo[/bold]
     """
     from geoorbit_ros.cli.console import as_typed, console
+    from geoorbit_ros.cli.lanes import score
     from geoorbit_ros.cli.replay import replay
     from geoorbit_ros.cli.report import report
-    from geoorbit_ros.cli.score import score
     from geoorbit_ros.core.resources import share_path
 
     folder = share_path(DEMO_BAG)

@@ -75,3 +75,7 @@ class PluginError(GeoOrbitError):
 
 class NoTrafficError(GeoOrbitError):
     """Trajectories from which no lane can be seen."""
+
+
+class RoadNetworkError(GeoOrbitError):
+    """A road network, or a map to make one of, that can't be used; or SUMO is not installed."""

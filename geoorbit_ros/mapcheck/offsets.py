@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.core.errors import RoadNetworkError
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.polylines import project, sample
-from geoorbit_ros.roadnet.errors import RoadNetworkError
 from geoorbit_ros.roadnet.network import RoadNetwork
 
 STEP_M = 2.0

@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.core.errors import RoadNetworkError
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.polylines import project
 from geoorbit_ros.mapcheck.driven_lanes import DrivenLane, moved_line, places_along
 from geoorbit_ros.mapcheck.findings import Finding
 from geoorbit_ros.mapcheck.validation import Validation, made_for_other_side, validate
-from geoorbit_ros.roadnet.errors import RoadNetworkError
 from geoorbit_ros.roadnet.map_build import write_moved
 from geoorbit_ros.roadnet.netconvert import drop_header
 from geoorbit_ros.roadnet.network import RoadNetwork, load_network

@@ -14,11 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.datum import Datum
-from geoorbit_ros.core.errors import ParameterError
+from geoorbit_ros.core.errors import ParameterError, RoadNetworkError
 from geoorbit_ros.core.input_report import InputReport, Treatment
 from geoorbit_ros.roadnet.driving_side import DrivingSide, Side, choose_side, side_doubt
 from geoorbit_ros.roadnet.edge_patch import edge_patch
-from geoorbit_ros.roadnet.errors import RoadNetworkError
 from geoorbit_ros.roadnet.lane_access import WayCounts, prepared
 from geoorbit_ros.roadnet.netconvert import drop_header, netconvert, netconvert_version
 from geoorbit_ros.roadnet.network import RoadNetwork, load_network

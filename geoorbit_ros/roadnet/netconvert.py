@@ -8,7 +8,7 @@ import subprocess
 from importlib.util import find_spec
 from pathlib import Path
 
-from geoorbit_ros.roadnet.errors import RoadNetworkError
+from geoorbit_ros.core.errors import RoadNetworkError
 
 TIME_LIMIT_S = 600.0
 """Chosen: larger for extracts of whole cities; smaller ends a netconvert that hangs earlier."""

@@ -14,8 +14,7 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
 from geoorbit_ros.calibration.datum import Datum
-from geoorbit_ros.core.errors import CalibrationError
-from geoorbit_ros.roadnet.errors import RoadNetworkError
+from geoorbit_ros.core.errors import CalibrationError, RoadNetworkError
 from geoorbit_ros.roadnet.network_file import MOTOR_CLASSES, NetworkContent, read_network_file
 from geoorbit_ros.roadnet.plane import NetworkPlane
 

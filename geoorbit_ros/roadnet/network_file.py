@@ -14,7 +14,7 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.roadnet.errors import RoadNetworkError
+from geoorbit_ros.core.errors import RoadNetworkError
 
 DEFAULT_WIDTH_M = 3.2
 """SUMO's default, where a lane states no width (SUMO user documentation, SUMO Road Networks)."""

@@ -14,7 +14,7 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.roadnet.errors import RoadNetworkError
+from geoorbit_ros.core.errors import RoadNetworkError
 from geoorbit_ros.roadnet.netconvert import netconvert
 from geoorbit_ros.roadnet.network_file import DEFAULT_WIDTH_M, parse_xml
 

@@ -8,7 +8,7 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
 from geoorbit_ros.calibration.datum import Datum
-from geoorbit_ros.roadnet.errors import RoadNetworkError
+from geoorbit_ros.core.errors import RoadNetworkError
 
 Complex = NDArray[np.complex128]
 

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.plane import Homography
+from geoorbit_ros.core.errors import RoadNetworkError
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.polylines import offset_line
-from geoorbit_ros.roadnet.errors import RoadNetworkError
 from geoorbit_ros.roadnet.network import RoadNetwork
 
 PIXEL_SIGMA = 1.5

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.core.errors import RoadNetworkError
 from geoorbit_ros.core.tables import FLAG_PREDICTED
 from geoorbit_ros.mapcheck.alignment import Alignment
-from geoorbit_ros.roadnet.errors import RoadNetworkError
 from geoorbit_ros.roadnet.plane import ConformalMap
 
 OBSERVATION_DTYPE = np.dtype(

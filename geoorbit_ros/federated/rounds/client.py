@@ -14,14 +14,14 @@ from geoorbit_ros.federated.keys import Signer, Verifier, client_id
 from geoorbit_ros.federated.payloads.client_update import ClientUpdate
 from geoorbit_ros.federated.payloads.global_model import (
     ASYNCHRONOUS,
+    DELTA_SCHEMA,
     FINAL,
     MASKED,
     VALIDATING,
     GlobalModel,
+    ModelDelta,
 )
 from geoorbit_ros.federated.payloads.header import UNSIGNED, schema_of
-from geoorbit_ros.federated.payloads.model_delta import SCHEMA as DELTA
-from geoorbit_ros.federated.payloads.model_delta import ModelDelta
 from geoorbit_ros.federated.payloads.model_layout import Tensors, Vector
 from geoorbit_ros.federated.privacy.masked_rounds import MaskedClient
 from geoorbit_ros.federated.rounds.client_state import (
@@ -130,7 +130,7 @@ class FederatedClient:
             PayloadError: It was refused; the client goes on as if it had never come.
         """
         try:
-            take = self._take_delta if schema_of(payload) == DELTA else self._take_whole
+            take = self._take_delta if schema_of(payload) == DELTA_SCHEMA else self._take_whole
             clients, flags = take(payload)
         except PayloadError as error:
             self.refused[error.reason] += 1
@@ -270,19 +270,19 @@ class FederatedClient:
         state = self._state
         if state is None:
             expected = "a whole model first"
-            raise PayloadError(Refusal.OTHER_MODEL, DELTA, f"round {delta.round}", expected)
+            raise PayloadError(Refusal.OTHER_MODEL, DELTA_SCHEMA, f"round {delta.round}", expected)
         if (delta.round, delta.model) == (state.round, state.digest):
-            self._verifier.check(payload, DELTA)  # sent again: the update may have been lost
+            self._verifier.check(payload, DELTA_SCHEMA)  # sent again: the update may have been lost
             self._check_not_over(state.run, delta.round, delta.flags)
             self._use(state, delta.approved, (0, state.model))
             return delta.clients, delta.flags
         if delta.round <= state.round:
             found = f"round {delta.round}"
-            raise PayloadError(Refusal.OLD_ROUND, DELTA, found, f"round {state.round + 1}")
+            raise PayloadError(Refusal.OLD_ROUND, DELTA_SCHEMA, found, f"round {state.round + 1}")
         if delta.base != state.digest:
             found, expected = f"a change of model {delta.base:08x}", f"of {state.digest:08x}"
-            raise PayloadError(Refusal.OTHER_MODEL, DELTA, found, expected)
-        self._verifier.check(payload, DELTA)
+            raise PayloadError(Refusal.OTHER_MODEL, DELTA_SCHEMA, found, expected)
+        self._verifier.check(payload, DELTA_SCHEMA)
         step = decode_vector(delta.encoding, delta.data, state.layout.size)
         vector: Vector = state.model + step
         self._check_digest(state.layout.digest(vector, state.run), delta.model)

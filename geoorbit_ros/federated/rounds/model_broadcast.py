@@ -8,8 +8,7 @@ from geoorbit_ros.federated.encodings.encoding import Encoding
 from geoorbit_ros.federated.encodings.floats import Float32
 from geoorbit_ros.federated.encodings.int8 import Int8
 from geoorbit_ros.federated.keys import Signer
-from geoorbit_ros.federated.payloads.global_model import GlobalModel
-from geoorbit_ros.federated.payloads.model_delta import ModelDelta
+from geoorbit_ros.federated.payloads.global_model import GlobalModel, ModelDelta
 from geoorbit_ros.federated.payloads.model_layout import ModelLayout, Vector
 from geoorbit_ros.federated.rounds.server_config import ServerConfig
 from geoorbit_ros.federated.rounds.server_state import ServerState

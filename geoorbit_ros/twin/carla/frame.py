@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.camera_pose import CameraPose
 from geoorbit_ros.calibration.datum import Datum
-from geoorbit_ros.core.errors import CalibrationError
-from geoorbit_ros.roadnet.errors import RoadNetworkError
+from geoorbit_ros.core.errors import CalibrationError, RoadNetworkError
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,8 +18,8 @@ from geoorbit_ros.federated.rounds import client as client_module
 from geoorbit_ros.federated.rounds import server as server_module
 from geoorbit_ros.federated.rounds.server_config import ServerConfig
 from geoorbit_ros.federated.rounds.server_state import Answers, read_checkpoint
-from geoorbit_ros.federated.strategies.fedadam import FedAdam
 from geoorbit_ros.federated.strategies.fedbuff import FedBuff
+from geoorbit_ros.federated.strategies.server_optimizers import FedAdam
 
 NAMES = ("north", "south", "east")
 ROUNDS = 3

@@ -10,13 +10,12 @@ from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from geoorbit_ros.federated.errors import PayloadError, Refusal
-from geoorbit_ros.federated.payloads import client_update, global_model, model_delta
+from geoorbit_ros.federated.payloads import client_update, global_model
 from geoorbit_ros.federated.payloads import lane_parameters as theta
 from geoorbit_ros.federated.payloads.client_update import ClientUpdate
-from geoorbit_ros.federated.payloads.global_model import GlobalModel
+from geoorbit_ros.federated.payloads.global_model import GlobalModel, ModelDelta
 from geoorbit_ros.federated.payloads.header import UNSIGNED, schema_of
 from geoorbit_ros.federated.payloads.lane_parameters import ThetaPayload
-from geoorbit_ros.federated.payloads.model_delta import ModelDelta
 from geoorbit_ros.federated.payloads.model_layout import ModelLayout
 
 FOLDER = Path(__file__).parents[3] / "msg_defs"
@@ -87,7 +86,7 @@ def test_model_delta(
     assert payload == by_rosbags(
         "ModelDelta",
         schema="delta",
-        version=model_delta.VERSION,
+        version=global_model.DELTA_VERSION,
         encoding=encoding,
         flags=flags,
         **dict(zip(("round", "base", "model", "approved"), numbers, strict=True)),

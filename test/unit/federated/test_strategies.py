@@ -13,19 +13,17 @@ from numpy.typing import NDArray
 from geoorbit_ros.core.plugins import registered
 from geoorbit_ros.federated.errors import FederationError
 from geoorbit_ros.federated.strategies.collection import ExactSum
-from geoorbit_ros.federated.strategies.fedadam import FedAdam
-from geoorbit_ros.federated.strategies.fedavgm import FedAvgM
+from geoorbit_ros.federated.strategies.coordinate_wise import FedMedian, TrimmedMean
 from geoorbit_ros.federated.strategies.fedbuff import FedBuff
-from geoorbit_ros.federated.strategies.fedmedian import FedMedian
 from geoorbit_ros.federated.strategies.fedprox import FedProx, proximal_gradient
 from geoorbit_ros.federated.strategies.multi_krum import MultiKrum
+from geoorbit_ros.federated.strategies.server_optimizers import FedAdam, FedAvgM
 from geoorbit_ros.federated.strategies.strategy import (
     FedAvg,
     Strategy,
     StrategySettings,
     make_strategy,
 )
-from geoorbit_ros.federated.strategies.trimmed_mean import TrimmedMean
 
 Rows = Sequence[Sequence[float]]
 

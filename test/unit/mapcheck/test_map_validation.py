@@ -9,13 +9,12 @@ import pytest
 from made_detections import detected, lane
 from made_twin import made_network
 
-from geoorbit_ros.core.errors import NoTrafficError
+from geoorbit_ros.core.errors import NoTrafficError, RoadNetworkError
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.polylines import offset_line
 from geoorbit_ros.mapcheck.alignment import align
 from geoorbit_ros.mapcheck.patch import patch_network
 from geoorbit_ros.mapcheck.validation import say_alignment, validate
-from geoorbit_ros.roadnet.errors import RoadNetworkError
 from geoorbit_ros.roadnet.network import RoadNetwork, load_network
 from scores.map_errors import SHIFT_M, WIDTH_M, Error, plant
 

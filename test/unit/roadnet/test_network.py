@@ -8,7 +8,7 @@ import pytest
 from made_twin import DATUM, made_network, made_roads
 
 from geoorbit_ros.calibration.datum import Datum
-from geoorbit_ros.roadnet.errors import RoadNetworkError
+from geoorbit_ros.core.errors import RoadNetworkError
 from geoorbit_ros.roadnet.network import NO_LANE, RoadNetwork, load_network
 from geoorbit_ros.roadnet.plane import NetworkPlane
 

@@ -8,8 +8,8 @@ import pytest
 from made_twin import DATUM, made_network, made_roads
 
 from geoorbit_ros.calibration.homography import fit_homography
+from geoorbit_ros.core.errors import RoadNetworkError
 from geoorbit_ros.core.polylines import project
-from geoorbit_ros.roadnet.errors import RoadNetworkError
 from geoorbit_ros.roadnet.network import RoadNetwork, load_network
 from geoorbit_ros.roadnet.reference_lanes import inside, lane_chains, reference_lanes, view_polygon
 from geoorbit_ros.scenes.network import write_network

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from made_scenes import Array, rotation_of, run_of, true_lanes, turned
 
-from geoorbit_ros.core.errors import ParameterError
+from geoorbit_ros.core.errors import ParameterError, RoadNetworkError
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.tables import Frames
 from geoorbit_ros.roadnet import netconvert
-from geoorbit_ros.roadnet.errors import RoadNetworkError
 from geoorbit_ros.scenes.scene import load_scene
 from geoorbit_ros.scenes.simulate import SceneRun, simulate
 

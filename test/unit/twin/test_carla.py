@@ -12,7 +12,7 @@ from made_twin import DATUM, made_network, rows
 from geoorbit_ros.calibration.camera_pose import recover_pose
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.calibration.homography import fit_homography
-from geoorbit_ros.roadnet.errors import RoadNetworkError
+from geoorbit_ros.core.errors import RoadNetworkError
 from geoorbit_ros.roadnet.map_build import build_from_network
 from geoorbit_ros.roadnet.network import RoadNetwork, load_network
 from geoorbit_ros.scenes.roads import place_roads

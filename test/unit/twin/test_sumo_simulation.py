@@ -13,8 +13,7 @@ import pytest
 from made_twin import DATUM, made_network, made_roads
 from numpy.typing import NDArray
 
-from geoorbit_ros.core.errors import ParameterError
-from geoorbit_ros.roadnet.errors import RoadNetworkError
+from geoorbit_ros.core.errors import ParameterError, RoadNetworkError
 from geoorbit_ros.roadnet.network import RoadNetwork, load_network
 from geoorbit_ros.twin.running_network import (
     MAX_POINTS,

@@ -1,6 +1,10 @@
-"""FedAdam: the mean update is the gradient of an Adam step on the server.
+"""FedAvgM and FedAdam: the mean update is the gradient of a step that the server makes.
 
-Reddi et al., "Adaptive federated optimization", ICLR 2021, algorithm 2:
+FedAvgM is FedAvg with momentum: Hsu, Qi, Brown, "Measuring the effects of non-identical data
+distribution for federated visual classification", 2019 (arXiv:1909.06335), section 4.3:
+v ← βv + Δ, w ← w + ηv.
+
+FedAdam is a step of Adam: Reddi et al., "Adaptive federated optimization", ICLR 2021, algorithm 2:
 m ← β₁m + (1-β₁)Δ, v ← β₂v + (1-β₂)Δ², w ← w + η m / (√v + τ).
 """
 
@@ -20,6 +24,39 @@ from geoorbit_ros.federated.strategies.strategy import (
     StrategySettings,
     check_range,
 )
+
+
+@register("strategy", "fedavgm")
+class FedAvgM(Strategy):
+    """Momentum β and learning rate η.
+
+    Raises:
+        FederationError: A setting out of range.
+    """
+
+    def __init__(self, momentum: float = 0.9, learning_rate: float = 0.3) -> None:
+        self.momentum = check_range("momentum", momentum, 0.0, 0.999)
+        self.learning_rate = check_range("learning_rate", learning_rate, 1e-6, 100.0)
+        self._velocity: Aggregate | None = None
+
+    @classmethod
+    def from_settings(cls, settings: StrategySettings) -> Self:
+        """See `Strategy.from_settings`."""
+        return cls(settings.momentum, settings.server_learning_rate)
+
+    def step(self, aggregate: Aggregate) -> Aggregate:
+        """See `Strategy.step`."""
+        before = np.zeros_like(aggregate) if self._velocity is None else self._velocity
+        self._velocity = self.momentum * before + aggregate
+        return self.learning_rate * self._velocity
+
+    def state(self) -> State:
+        """See `Strategy.state`."""
+        return {} if self._velocity is None else {"velocity": self._velocity}
+
+    def restore(self, state: Mapping[str, NDArray[np.float64]]) -> None:
+        """See `Strategy.restore`."""
+        self._velocity = state.get("velocity")
 
 
 @register("strategy", "fedadam")

@@ -1,7 +1,7 @@
-"""Trimmed mean: weight by weight, the mean without the largest and the smallest updates.
+"""Robust strategies that look at each weight by itself: FedMedian and the trimmed mean.
 
 Yin et al., "Byzantine-robust distributed learning: towards optimal statistical rates", ICML 2018,
-definition 2.
+definitions 1 and 2.
 """
 
 from __future__ import annotations
@@ -21,9 +21,18 @@ from geoorbit_ros.federated.strategies.strategy import (
 )
 
 
+@register("strategy", "fedmedian")
+class FedMedian(RobustStrategy):
+    """The median of the updates; it withstands false updates while they are fewer than half."""
+
+    def combine(self, table: Table) -> Aggregate:
+        """See `RobustStrategy.combine`."""
+        return np.asarray(np.median(table, axis=0))
+
+
 @register("strategy", "trimmed_mean")
 class TrimmedMean(RobustStrategy):
-    """Leaves out this share of the updates at each end, and withstands so many false ones.
+    """The mean without this share of the updates at each end; it withstands so many false ones.
 
     Raises:
         FederationError: A share that leaves nothing.
