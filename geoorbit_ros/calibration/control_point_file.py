@@ -140,7 +140,8 @@ def read_control_points(
     """
     place = str(path)
     table = _read_table(split_header(Path(path), EXPECTED), place)
-    table.keep(np.isfinite(table.values).all(axis=1), "a value that is missing or no number")
+    known = np.asarray(np.isfinite(table.values).all(axis=1))
+    table.keep(known, "a value that is missing or no number")
     _repair_pixels(table, image_size)
     position = _positions(table, datum)
     if position is None:

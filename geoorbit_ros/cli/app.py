@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from geoorbit_ros import __version__
-from geoorbit_ros.cli import bag, camera, database, federation, fleet, scene, twin
+from geoorbit_ros.cli import bag, camera, database, federation, scene, twin
 from geoorbit_ros.cli import map as road_map
 from geoorbit_ros.cli.demo import demo
 from geoorbit_ros.cli.detect import detect
@@ -25,6 +25,7 @@ from geoorbit_ros.cli.report import report
 from geoorbit_ros.cli.status import status
 from geoorbit_ros.cli.track import track
 from geoorbit_ros.cli.train import evaluate, train
+from geoorbit_ros.cli.up import app as fleet
 from geoorbit_ros.cli.up import up
 from geoorbit_ros.cli.view import view
 
@@ -83,7 +84,7 @@ _COMMANDS: dict[str, Callable[..., None]] = {
 _GROUPS = {
     "scene": scene.app,
     "camera": camera.app,
-    "fleet": fleet.app,
+    "fleet": fleet,
     "bag": bag.app,
     "db": database.app,
     "map": road_map.app,

@@ -1,4 +1,4 @@
-"""`geoorbit up`: a fleet of cameras from one file, kept running until Ctrl-C."""
+"""`geoorbit up`: a fleet of cameras from one file, kept running until Ctrl-C; `geoorbit fleet`."""
 
 from __future__ import annotations
 
@@ -22,6 +22,8 @@ OTHERS = 0o077
 """Bits of a file's mode by which others than its owner may do anything with it."""
 SIZES = ("image_width", "image_height", "image_sizes")
 """Parameters that follow from the images of a video or scene."""
+app = typer.Typer(help="What a fleet file can say.", no_args_is_help=True)
+
 STEP_S = 0.2
 """Longest time between two looks at the processes. Chosen: larger, Ctrl-C takes longer."""
 
@@ -226,3 +228,33 @@ def _print_plan(fleet: Fleet, plans: Sequence[ProcessPlan], folder: Path) -> Non
     if asked:
         say(f"Image sizes of {', '.join(sorted(asked))} are asked for when they are started.")
     say(f"Nothing was started. Logs, recordings and state would go to {folder}.")
+
+
+@app.callback()
+def _fleet() -> None:
+    """What a fleet file can say."""
+
+
+@app.command("parameters")
+def parameters(
+    node: Annotated[
+        str | None, typer.Argument(help="A node, such as detector. Default: all of them.")
+    ] = None,
+) -> None:
+    """List the parameters of nodes: name, default and meaning.
+
+    A fleet file sets them for a camera or a service under the key [bold]parameters[/bold].
+
+    Example: [bold]geoorbit fleet parameters detector[/bold]
+    """
+    from geoorbit_ros.cli.console import console, make_table
+    from geoorbit_ros.fleet.fleet_file import NODES, node_parameters
+
+    for name in (node,) if node else NODES:
+        table = make_table(name, "parameter|default|accepts|meaning")
+        for column in table.columns[1:]:
+            column.no_wrap, column.overflow = False, "fold"
+        for spec in node_parameters(name):
+            default = str(spec.default).lower() if spec.kind == "bool" else str(spec.default)
+            table.add_row(spec.name, default, spec.expected, spec.description)
+        console.print(table)

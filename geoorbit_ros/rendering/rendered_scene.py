@@ -27,8 +27,8 @@ from geoorbit_ros.scenes.simulate import (
     Progress,
     check_range,
     scene_camera,
+    survey_control_points,
 )
-from geoorbit_ros.scenes.survey import survey_control_points
 from geoorbit_ros.scenes.traffic import simulate_traffic
 from geoorbit_ros.scenes.truth import TruthCounter, visible_lanes
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.plane import Homography
-from geoorbit_ros.report.image_text import text_width, write_text
+from geoorbit_ros.report.image_overlay import text_width, write_text
 
 Image = NDArray[np.uint8]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import colorsys
+import itertools
 from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,7 +18,6 @@ from geoorbit_ros.core.lanes import Lane, LaneMap
 from geoorbit_ros.core.tables import FLAG_PREDICTED
 from geoorbit_ros.detection.detector import Image
 from geoorbit_ros.detection.road_segments import RoadSegments
-from geoorbit_ros.report.image_text import write_text
 from geoorbit_ros.report.lane_drawing import direction_groups
 from geoorbit_ros.report.text import compass
 
@@ -47,6 +47,9 @@ _DIRECTIONS: tuple[Colour, ...] = (
     (150, 150, 250),
 )
 """Colours of the lanes by direction of travel, as blue, green, red."""
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+_BLACK = (0, 0, 0)
+"""Of the rim of text. OpenCV's font has ASCII only."""
 _WHITE, _GREY, _DARK = (255, 255, 255), (170, 170, 170), (60, 30, 20)
 """Outlines and captions, predicted boxes, and the rim of road segments."""
 _NAMES = {2: "car", 3: "motorcycle", 5: "bus", 7: "truck"}
@@ -230,3 +233,28 @@ def write_image(path: Path, image: NDArray[np.uint8]) -> None:
         path.write_bytes(data.tobytes())
     except OSError as error:
         raise InputFileError(str(path), error.strerror or str(error), "a place to write") from None
+
+
+def write_text(
+    image: NDArray[np.uint8],
+    text: str,
+    at: tuple[int, int],
+    size: float,
+    colour: tuple[int, int, int],
+    thickness: int = 1,
+) -> None:
+    """Draw `text` with a black rim, its lower left corner `at`, into `image`.
+
+    The rim is the same text drawn around: since OpenCV 5 thicker letters are also wider, so a thick
+    black text would not lie behind a thin coloured one.
+    """
+    step = max(round(size), 1)
+    for dx, dy in itertools.product((-step, 0, step), repeat=2):
+        place = (at[0] + dx, at[1] + dy)
+        cv2.putText(image, text, place, _FONT, size, _BLACK, thickness, cv2.LINE_AA)
+    cv2.putText(image, text, at, _FONT, size, colour, thickness, cv2.LINE_AA)
+
+
+def text_width(text: str, size: float, thickness: int = 1) -> int:
+    """Pixels that `write_text` takes from left to right, the rim included."""
+    return int(cv2.getTextSize(text, _FONT, size, thickness)[0][0]) + 2 * max(round(size), 1)

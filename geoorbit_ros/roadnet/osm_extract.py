@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.core.errors import RoadNetworkError
 from geoorbit_ros.core.input_report import InputReport, Treatment
 from geoorbit_ros.roadnet.driving_side import SIDES, MapEvidence, Side
-from geoorbit_ros.core.errors import RoadNetworkError
 from geoorbit_ros.roadnet.osm_file import EXPECTED, parse_osm, roads_of, tags_of
 
 ELE_SHARE = 0.5

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as Xml
 
-from geoorbit_ros.roadnet.errors import RoadNetworkError
+from geoorbit_ros.core.errors import RoadNetworkError
 from geoorbit_ros.roadnet.network_file import read_unpacked
 
 EXPECTED = "an OpenStreetMap extract (.osm, .osm.gz, .osm.bz2, or JSON of Overpass)"

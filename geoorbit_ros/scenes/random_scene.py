@@ -21,8 +21,7 @@ from geoorbit_ros.scenes.random_roads import (
 )
 from geoorbit_ros.scenes.roads import PlacedRoad, lane_chains, place_roads
 from geoorbit_ros.scenes.scene import Scene
-from geoorbit_ros.scenes.simulate import scene_camera
-from geoorbit_ros.scenes.survey import survey_control_points
+from geoorbit_ros.scenes.simulate import scene_camera, survey_control_points
 from geoorbit_ros.scenes.truth import visible_lanes
 
 SIDE_FRICTION_MPS2 = 1.5

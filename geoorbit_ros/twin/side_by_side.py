@@ -19,7 +19,7 @@ from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.calibration.plane import Homography
 from geoorbit_ros.mapcheck.alignment import Alignment
 from geoorbit_ros.rendering.renderer import SceneRenderer
-from geoorbit_ros.report.image_text import write_text
+from geoorbit_ros.report.image_overlay import write_text
 from geoorbit_ros.roadnet.network import load_network
 from geoorbit_ros.roadnet.reference_lanes import reference_lanes, view_polygon
 from geoorbit_ros.scenes.camera import PinholeCamera

@@ -19,8 +19,7 @@ from geoorbit_ros.nodes.support.qos import LATCHED
 from geoorbit_ros.roadnet.map_build import build_from_network
 from geoorbit_ros.scenes.roads import place_roads
 from geoorbit_ros.scenes.scene import load_scene
-from geoorbit_ros.scenes.simulate import scene_camera
-from geoorbit_ros.scenes.survey import survey_control_points
+from geoorbit_ros.scenes.simulate import scene_camera, survey_control_points
 from geoorbit_ros.twin.carla.client import OnImage
 from geoorbit_ros.twin.carla.frame import CarlaCamera, CarlaPose
 

@@ -13,7 +13,7 @@ from geoorbit_ros.report.calibration_image import (
     ground_error_m,
     reach,
 )
-from geoorbit_ros.report.image_text import text_width
+from geoorbit_ros.report.image_overlay import text_width
 
 SIZE = (1920, 1080)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from geoorbit_ros.report.image_text import write_text
+from geoorbit_ros.report.image_overlay import write_text
 
 
 @pytest.mark.parametrize("size", [0.4, 0.7, 1.5])

@@ -15,8 +15,7 @@ from geoorbit_ros.roadnet.reference_lanes import inside, lane_chains, reference_
 from geoorbit_ros.scenes.network import write_network
 from geoorbit_ros.scenes.roads import place_roads
 from geoorbit_ros.scenes.scene import load_scene
-from geoorbit_ros.scenes.simulate import scene_camera
-from geoorbit_ros.scenes.survey import survey_control_points
+from geoorbit_ros.scenes.simulate import scene_camera, survey_control_points
 from geoorbit_ros.scenes.truth import visible_lanes
 
 EVERYWHERE = np.array([(-900.0, -900.0), (900.0, -900.0), (900.0, 900.0), (-900.0, 900.0)])

@@ -14,8 +14,7 @@ from geoorbit_ros.scenes.camera import PinholeCamera
 from geoorbit_ros.scenes.network import write_network
 from geoorbit_ros.scenes.roads import place_roads
 from geoorbit_ros.scenes.scene import load_scene
-from geoorbit_ros.scenes.simulate import scene_camera
-from geoorbit_ros.scenes.survey import survey_control_points
+from geoorbit_ros.scenes.simulate import scene_camera, survey_control_points
 from geoorbit_ros.twin.side_by_side import TwinCamera, compare_boxes, side_by_side
 
 DATUM = Datum(43.05, -89.35)
