@@ -1,11 +1,12 @@
 """On which side of the road traffic drives: as the user says, by the map's tags, or by the place.
 
-The place is looked up in `left_traffic.csv`, which holds the areas where traffic drives on the left
+The place is looked up in `left_traffic.csv`, a rough table of where traffic drives on the left
 (docs/adr/0036-side-of-the-road.md). Where none of the three says it, the user is asked.
 """
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
@@ -21,9 +22,10 @@ from geoorbit_ros.core.errors import ParameterError
 Side = Literal["left", "right"]
 SIDES: tuple[Side, Side] = ("left", "right")
 AREAS = Path(__file__).with_name("left_traffic.csv")
-BORDER_KM = 5.0
-"""Nearer to a border between left and right the side is not known by the place. Chosen: larger asks
-more often, smaller guesses where the borders of the table are wrong (ADR 0036 has figures)."""
+"""Corners of the areas, drawn by hand. Its `border_km` is the distance to a border within which the
+side is not known by the place: 40 where the border is drawn roughly (farthest off: 34 km), less
+where it is drawn finely or runs through water. Chosen: larger asks more often, smaller guesses
+where the table is wrong (ADR 0036 has figures)."""
 KM_PER_DEGREE = 111.2
 """Of latitude, on a sphere of 6371 km."""
 TAGGED_SHARE = 0.5
@@ -55,7 +57,7 @@ class DrivingSide:
 
 def side_at(latitude_deg: float, longitude_deg: float) -> Side | None:
     """The side on which traffic drives at a place on land; None near a border between both."""
-    left, distance_km = False, np.inf
+    left = False
     for area in _areas():
         begin = area.lon_lat_deg
         end = np.roll(begin, -1, axis=0)
@@ -63,11 +65,9 @@ def side_at(latitude_deg: float, longitude_deg: float) -> Side | None:
         crosses = (y > latitude_deg) != (y1 > latitude_deg)
         rise = np.where(crosses, y1 - y, 1.0)
         right_of = longitude_deg < x + (latitude_deg - y) * (x1 - x) / rise
-        left ^= bool(np.count_nonzero(crosses & right_of) % 2)
-        near = _distance_km(begin[area.border], end[area.border], latitude_deg, longitude_deg)
-        distance_km = min(distance_km, near)
-    if distance_km < BORDER_KM:
-        return None
+        left |= bool(np.count_nonzero(crosses & right_of) % 2)
+        if (_distance_km(begin, end, latitude_deg, longitude_deg) < area.border_km).any():
+            return None
     return "left" if left else "right"
 
 
@@ -153,35 +153,35 @@ def side_doubt(side: Side, place: Datum) -> str:
 
 @dataclass(frozen=True, slots=True)
 class _Area:
-    """(K, 2) corners of an area with left-hand traffic, and (K,) which edges are such borders."""
+    """(K, 2) corners of an area with left-hand traffic, longitude first, and (K,) `border_km`.
+
+    `border_km` belongs to the edge to the next corner: nearer to it the side is not known by the
+    place. It is 0 where the edge is no border with right-hand traffic, and larger where the table's
+    border is rougher.
+    """
 
     lon_lat_deg: NDArray[np.float64]
-    border: NDArray[np.bool_]
+    border_km: NDArray[np.float64]
 
 
 @cache
 def _areas() -> tuple[_Area, ...]:
-    rows = np.loadtxt(AREAS, delimiter=",", skiprows=_header_lines(), dtype=np.float64)
-    return tuple(
-        _Area(rows[rows[:, 0] == k, 1:3], rows[rows[:, 0] == k, 3] > 0.0)
-        for k in np.unique(rows[:, 0])
-    )
-
-
-def _header_lines() -> int:
-    lines = AREAS.read_text(encoding="utf-8").splitlines()
-    return next(k for k, line in enumerate(lines) if line.startswith("area,")) + 1
+    rows: dict[str, list[list[float]]] = {}
+    with AREAS.open(encoding="utf-8", newline="") as file:
+        for row in csv.DictReader(line for line in file if not line.startswith("#")):
+            corner = [float(row[key]) for key in ("longitude", "latitude", "border_km")]
+            rows.setdefault(row["area"], []).append(corner)
+    corners = [np.array(area) for area in rows.values()]
+    return tuple(_Area(area[:, :2], area[:, 2]) for area in corners)
 
 
 def _distance_km(
     begin: NDArray[np.float64], end: NDArray[np.float64], latitude_deg: float, longitude_deg: float
-) -> float:
-    """From a place to the nearest of edges (K, 2), longitude first; exact enough for some km."""
-    if not len(begin):
-        return float("inf")
+) -> NDArray[np.float64]:
+    """From a place to edges (K, 2), longitude first: (K,), exact enough for tens of km."""
     scale = np.array([np.cos(np.radians(latitude_deg)), 1.0]) * KM_PER_DEGREE
     place = np.array([longitude_deg, latitude_deg])
     a, b = (begin - place) * scale, (end - place) * scale
     step = b - a
     share = np.clip(-(a * step).sum(axis=1) / np.maximum((step**2).sum(axis=1), 1e-9), 0.0, 1.0)
-    return float(np.hypot(*(a + share[:, None] * step).T).min())
+    return np.asarray(np.hypot(*(a + share[:, None] * step).T))

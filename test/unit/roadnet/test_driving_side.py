@@ -12,7 +12,14 @@ from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.exchange.sumo import to_sumo
 from geoorbit_ros.lanes.geojson import LaneFile
-from geoorbit_ros.roadnet.driving_side import MapEvidence, Side, choose_side, side_at, side_doubt
+from geoorbit_ros.roadnet.driving_side import (
+    AREAS,
+    MapEvidence,
+    Side,
+    choose_side,
+    side_at,
+    side_doubt,
+)
 from geoorbit_ros.roadnet.map_build import build_from_network, build_from_osm
 from geoorbit_ros.roadnet.network import RoadNetwork, load_network
 from geoorbit_ros.roadnet.osm_extract import read_extract
@@ -22,17 +29,26 @@ EVERYWHERE = np.array([(-900.0, -900.0), (900.0, -900.0), (900.0, 900.0), (-900.
 PLACES: dict[str, tuple[float, float, Side | None]] = {
     "London": (51.51, -0.13, "left"),
     "Dublin": (53.35, -6.26, "left"),
+    "Belfast": (54.60, -5.93, "left"),
+    "Saint Helier": (49.19, -2.10, "left"),
+    "Cherbourg": (49.64, -1.62, "right"),
     "Dover": (51.13, 1.31, "left"),
     "Calais": (50.95, 1.86, "right"),
     "Gibraltar": (36.14, -5.35, "right"),
     "Valletta": (35.90, 14.51, "left"),
     "Nicosia": (35.17, 33.36, "left"),
+    "Cape Town": (-33.92, 18.42, "left"),
     "Johannesburg": (-26.20, 28.05, "left"),
     "Luanda": (-8.84, 13.23, "right"),
     "Lusaka": (-15.42, 28.28, "left"),
-    "Lubumbashi": (-11.66, 27.48, "right"),
+    "Kolwezi": (-10.71, 25.47, "right"),
+    "Nairobi": (-1.29, 36.82, "left"),
     "Kampala": (0.35, 32.58, "left"),
     "Kigali": (-1.94, 30.06, "right"),
+    "Karachi": (24.86, 67.01, "left"),
+    "Delhi": (28.61, 77.21, "left"),
+    "Dhaka": (23.81, 90.41, "left"),
+    "Colombo": (6.93, 79.85, "left"),
     "Mumbai": (19.08, 72.88, "left"),
     "Kathmandu": (27.72, 85.32, "left"),
     "Kabul": (34.53, 69.17, "right"),
@@ -45,10 +61,13 @@ PLACES: dict[str, tuple[float, float, Side | None]] = {
     "Taipei": (25.03, 121.57, "right"),
     "Sydney": (-33.87, 151.21, "left"),
     "Suva": (-18.14, 178.44, "left"),
+    "Fiji beyond 180 degrees": (-16.80, -179.97, "left"),
     "Apia": (-13.83, -171.77, "left"),
     "Pago Pago": (-14.28, -170.70, "right"),
     "Charlotte Amalie": (18.34, -64.93, "left"),
     "San Juan": (18.47, -66.11, "right"),
+    "Roseau": (15.30, -61.39, "left"),
+    "Fort-de-France": (14.60, -61.07, "right"),
     "Kingston": (17.97, -76.79, "left"),
     "Georgetown": (6.80, -58.16, "left"),
     "Boa Vista": (2.82, -60.67, "right"),
@@ -57,6 +76,9 @@ PLACES: dict[str, tuple[float, float, Side | None]] = {
     "Paris": (48.86, 2.35, "right"),
     "Vientiane": (17.967, 102.60, None),
     "Shenzhen": (22.54, 114.06, None),
+    "Macau": (22.19, 113.55, None),
+    "Zhuhai": (22.27, 113.57, None),
+    "Lubumbashi": (-11.66, 27.48, None),
 }
 
 
@@ -64,6 +86,16 @@ PLACES: dict[str, tuple[float, float, Side | None]] = {
 def test_the_side_of_a_place(name: str) -> None:
     latitude, longitude, side = PLACES[name]
     assert side_at(latitude, longitude) == side
+
+
+def test_the_table_is_drawn_by_hand() -> None:
+    lines = [line for line in AREAS.read_text().splitlines() if not line.startswith("#")]
+    assert lines[0] == "area,longitude,latitude,border_km"
+    names = [line.split(",")[0] for line in lines[1:]]
+    runs = [name for k, name in enumerate(names) if k == 0 or names[k - 1] != name]
+    assert len(runs) == len(set(runs)), "the corners of an area stand together"
+    corners = np.array([line.split(",")[1:3] for line in lines[1:]], dtype=np.float64) * 20.0
+    assert corners == pytest.approx(np.round(corners)), "rounded to 0.05 degrees or more"
 
 
 @pytest.mark.parametrize(
