@@ -40,6 +40,9 @@ SLOWEST_STEPWISE = 6.0
 from image to image, unless the second is a frame number."""
 STEP_S = 0.999
 """Images this far apart could be counted rather than timed."""
+GAP_S, GAP_FRAMES = 2.0, 5.0
+"""An id that was away for longer than both is another vehicle's: recordings are played again, and
+trackers begin anew. Chosen: longer joins two vehicles, shorter parts one behind a lorry."""
 STEADY = 0.25
 """Standard deviation over mean of a vehicle's speed on its way. Chosen: free traffic has 0.03 to
 0.07 in the scenes and at US-12; larger doubts traffic that stops and goes, where slow is right."""
@@ -109,7 +112,7 @@ class SeenTraffic:
     """Boxes of vehicles, ordered by track and time.
 
     Attributes:
-        track_id: (N,).
+        track_id: (N,) numbers of the vehicles: an id that comes back later is another one.
         time_s: (N,) capture time.
         box: (N, 4) x, y, width, height in pixels.
         solid: (N,) False where the pixel already is the ground point.
@@ -145,17 +148,20 @@ def seen_traffic(
     time_s = np.repeat(times, [len(rows) for _, rows in frames])
     order = np.lexsort((time_s, rows["track_id"]))
     rows, time_s = rows[order], time_s[order]
+    step_s = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    other = np.diff(rows["track_id"], prepend=0) != 0
+    other |= np.diff(time_s, prepend=0.0) > max(GAP_S, GAP_FRAMES * step_s)
     box = np.column_stack([rows[name] for name in ("x", "y", "width", "height")]).astype(np.float64)
     foot = box[:, :2] + np.column_stack((np.zeros(len(box)), box[:, 3] / 2))
     return SeenTraffic(
-        rows["track_id"],
+        np.cumsum(other).astype(np.int32),
         time_s,
         box,
         (rows["flags"] & FLAG_GROUND_POINT) == 0,
         np.isin(rows["class_id"], (CAR_CLASS, UNKNOWN_CLASS)),
         homography.to_ground(foot),
         homography.sigma_m(foot, 1.5) <= SHARP_M,
-        float(np.median(np.diff(times))) if len(times) > 1 else 0.0,
+        step_s,
     )
 
 

@@ -196,8 +196,10 @@ class FrameFeed:
             return False
         wait_s = self._pace.wait_s(stamp_ns, time.monotonic())
         if self._clock_ns and self._pace.anchors != self._anchors:
-            self._anchors = self._pace.anchors
-            self._shift_ns = self._clock_ns() + round(1e9 * wait_s) - stamp_ns
+            first, self._anchors = not self._anchors, self._pace.anchors
+            shift_ns = self._clock_ns() + round(1e9 * wait_s) - stamp_ns
+            # Stamps never go back: those of a recording that is played faster run ahead.
+            self._shift_ns = shift_ns if first else max(shift_ns, self._shift_ns)
         return not (wait_s > 0.0 and self._stopping.wait(wait_s))
 
     def _put(self, frame: StampedImage) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cameras import Camera, Drive, frames
+from made_up_camera import MadeUpCamera
 from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.box_projector import BoxProjector
@@ -187,3 +188,17 @@ def test_real_cameras_give_no_finding(camera: str) -> None:
         pass
     projector.traffic.judge()
     assert [s for report in projector.reports(camera) for s in report.sentences()] == []
+
+
+@pytest.mark.parametrize("pause_s", [0.1, 20.0])
+def test_a_recording_that_is_played_again_with_the_same_ids_gives_no_finding(
+    pause_s: float, camera: MadeUpCamera
+) -> None:
+    homography = fit_homography(read_control_points(camera.calibration))
+    projector = BoxProjector(homography, camera.image_size)
+    stamps_ns = camera.frames.stamp_ns.tolist()
+    length_ns = stamps_ns[-1] - stamps_ns[0] + round(pause_s * 1e9)
+    for lap in range(5):
+        for k, stamp_ns in enumerate(stamps_ns):
+            projector.project(stamp_ns + lap * length_ns, camera.frames.frame(k))
+    assert projector.traffic.judge() == ()

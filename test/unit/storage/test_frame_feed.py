@@ -82,6 +82,19 @@ def test_a_recording_can_be_stamped_as_if_it_were_live(monkeypatch: pytest.Monke
     assert numbers(feed) == [125, 126, 375, 376]
 
 
+def test_stamps_of_a_recording_that_is_played_faster_do_not_go_back_after_a_hold_up(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # At a hundred times the speed, frame 3 is held up for a second: its stamp is far ahead by then.
+    steady_s = iter([0.0, 0.0004, 1.0, 1.0004])
+    clock = SimpleNamespace(monotonic=lambda: next(steady_s))
+    monkeypatch.setattr("geoorbit_ros.storage.frames.feed.time", clock)
+    wall_ns = iter([5_000_000_000, 5_000_000_000 + 30_000_000])
+    feed = FrameFeed(Numbered(4), rate=100.0, depth=4, clock_ns=lambda: next(wall_ns))
+    feed.start()
+    assert numbers(feed) == [125, 126, 127, 128]
+
+
 def test_at_rate_zero_the_first_frame_has_the_clocks_time() -> None:
     feed = FrameFeed(Numbered(3), rate=0.0, clock_ns=lambda: 5_000_000_000)
     feed.start()
