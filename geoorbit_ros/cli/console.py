@@ -19,8 +19,10 @@ if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
     from rich.table import Table
 
+    from geoorbit_ros.calibration.datum import Datum
     from geoorbit_ros.core.input_report import InputReport
     from geoorbit_ros.core.lanes import LaneMap
+    from geoorbit_ros.lanes.geojson import LaneFile
     from geoorbit_ros.learning.processes import Progress
     from geoorbit_ros.metrics.lane_score import LaneScore
 
@@ -171,6 +173,20 @@ def print_remarks(*reports: InputReport) -> None:
         for remark, sentence in zip(report.remarks, report.sentences(), strict=True):
             text = escape(f"{Path(report.place).name}: {sentence}")
             say(f"[red]Doubtful.[/] {text}" if remark.treatment is Treatment.DOUBTFUL else text)
+
+
+def read_lanes_aloud(path: Path, datum: Datum | None = None) -> LaneFile:
+    """A lane file; what was repaired or left out in it goes to standard error.
+
+    Raises:
+        InputFileError: It can't be used.
+    """
+    from geoorbit_ros.lanes.geojson import read_lane_file
+
+    file = read_lane_file(path, datum)
+    for sentence in file.report.sentences():
+        error_console.print(f"{path.name}: {sentence}", soft_wrap=True, markup=False)
+    return file
 
 
 def print_score(score: LaneScore) -> None:

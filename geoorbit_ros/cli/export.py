@@ -48,13 +48,13 @@ def export(
     """
     from dataclasses import replace
 
-    from geoorbit_ros.cli.console import console
+    from geoorbit_ros.cli.console import console, read_lanes_aloud
     from geoorbit_ros.cli.inputs import parse_driving_side
     from geoorbit_ros.core.errors import NoTrafficError
     from geoorbit_ros.exchange.lanelet2 import to_lanelet2
     from geoorbit_ros.exchange.opendrive import to_opendrive
     from geoorbit_ros.exchange.sumo import to_sumo
-    from geoorbit_ros.lanes.geojson import LaneFile, dumps_lanes, read_lane_file
+    from geoorbit_ros.lanes.geojson import LaneFile, dumps_lanes
     from geoorbit_ros.roadnet.driving_side import MapEvidence, choose_side
     from geoorbit_ros.storage.atomic import atomic_output
 
@@ -74,7 +74,7 @@ def export(
         ExportFormat.OPENDRIVE: to_opendrive,
         ExportFormat.LANELET2: to_lanelet2,
     }
-    file = read_lane_file(lanes)
+    file = read_lanes_aloud(lanes)
     if not tentative:
         kept = file.lane_map.confirmed
         file = replace(file, lane_map=replace(file.lane_map, lanes=kept))

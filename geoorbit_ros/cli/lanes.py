@@ -101,12 +101,11 @@ def score(
 
     Example: [bold]geoorbit score lanes.geojson truth.geojson --require[/bold]
     """
-    from geoorbit_ros.cli.console import print_score
-    from geoorbit_ros.lanes.geojson import read_lane_file, read_lanes
+    from geoorbit_ros.cli.console import print_score, read_lanes_aloud
     from geoorbit_ros.metrics.score import score_lanes
 
-    detected = read_lane_file(lanes)
-    true = read_lanes(truth, detected.datum)
+    detected = read_lanes_aloud(lanes)
+    true = read_lanes_aloud(truth, detected.datum).lane_map
     result = score_lanes(detected.lane_map.lanes, true.lanes)
     if json_output:
         import json

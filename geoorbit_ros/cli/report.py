@@ -63,18 +63,17 @@ def report(
     Example: [bold]geoorbit report --tracks tracks.csv --calibration calibration.csv
     --truth truth.geojson --out report.html[/bold]
     """
-    from geoorbit_ros.cli.console import console, print_remarks
-    from geoorbit_ros.lanes.geojson import read_lane_file, read_lanes
+    from geoorbit_ros.cli.console import console, print_remarks, read_lanes_aloud
     from geoorbit_ros.report.recording import Recording
     from geoorbit_ros.report.text import summary_sentence
 
     options = read_options(fps, columns, classes, strict)
     camera = load_camera(tracks, bag, calibration, camera_id, image_size, datum, out, options)
-    true = read_lanes(truth, camera.datum).lanes if truth else None
+    true = read_lanes_aloud(truth, camera.datum).lane_map.lanes if truth else None
     recording = Recording()
     ground = recording.tee(camera.ground_tracks())
     if lanes:
-        file = read_lane_file(lanes, camera.datum)
+        file = read_lanes_aloud(lanes, camera.datum)
         lane_map = file.lane_map
         for _ in ground:
             pass

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +17,11 @@ from numpy.typing import NDArray
 
 from geoorbit_ros import __version__
 from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.core.input_report import InputReport
 from geoorbit_ros.core.lane_order import lane_numbers
 from geoorbit_ros.core.lanes import Lane, LaneMap
 from geoorbit_ros.lanes.geojson_reader import (
+    EXPECTED,
     Collection,
     datum_of,
     lanes_of,
@@ -43,12 +45,14 @@ class LaneFile:
         datum: Origin of the map frame.
         camera_id: Camera that saw the lanes; empty when the file doesn't say.
         estimator: Method that found them; empty when the file doesn't say.
+        report: What was repaired or left out.
     """
 
     lane_map: LaneMap
     datum: Datum
     camera_id: str = ""
     estimator: str = ""
+    report: InputReport = field(default_factory=lambda: InputReport("lanes", "features"))
 
 
 def lanes_to_geojson(
@@ -115,40 +119,48 @@ def write_lanes(
     Path(path).write_text(text, encoding="utf-8")
 
 
-def read_lane_file(path: Path | str, datum: Datum | None = None) -> LaneFile:
+def read_lane_file(
+    path: Path | str, datum: Datum | None = None, *, strict: bool = False
+) -> LaneFile:
     """Read `lanes.geojson`, `truth.geojson` or a third party's file with the same properties.
 
     Args:
         path: The file.
         datum: Origin of the map frame wanted; default: the file's own, else the mean of its points.
+        strict: Whether any fault refuses the file.
 
     Returns:
         The lanes. Properties the file lacks become: role centerline, status confirmed, confidence
         1, `width_m` the distance between the boundaries (NaN without boundaries), `vehicles` NaN.
 
     Raises:
-        InputFileError: Not such a file; names feature, key, value and expectation.
+        InputFileError: Not such a file, most of it can't be used, or with `strict` any fault; names
+            feature, key, value and expectation.
     """
-    return _lane_file(load_collection(Path(path)), datum)
+    return _lane_file(load_collection(Path(path)), datum, strict)
 
 
 def parse_lane_file(text: str, place: str, datum: Datum | None = None) -> LaneFile:
-    """The same of a text, which errors call `place`.
+    """The same of a text that a program of this package wrote; errors call it `place`.
 
     Raises:
-        InputFileError: Not the text of such a file.
+        InputFileError: Not the text of such a file, or any fault.
     """
-    return _lane_file(parse_collection(text, Path(place)), datum)
+    return _lane_file(parse_collection(text, Path(place)), datum, strict=True)
 
 
-def _lane_file(collection: Collection, datum: Datum | None) -> LaneFile:
+def _lane_file(collection: Collection, datum: Datum | None, strict: bool) -> LaneFile:
+    collection.report.check(strict, EXPECTED)
     origin = datum or datum_of(collection)
     about = collection.about
+    lanes = lanes_of(collection, origin)
+    collection.report.check(strict, EXPECTED)
     return LaneFile(
-        map_of(collection, origin, lanes_of(collection, origin)),
+        map_of(collection, origin, lanes),
         origin,
         str(about.get("camera_id", "")),
         str(about.get("estimator", "")),
+        collection.report,
     )
 
 

@@ -1,36 +1,32 @@
-"""Reading lane files that anyone may have written: every problem in one sentence."""
+"""Reading lane files that anyone may have written.
+
+One policy for all readers (`core.input_report`): what one feature says is repaired, used or left
+out, counted and told; a file is refused when most of it is bad.
+"""
 
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeGuard, get_args
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.core.errors import InputFileError
+from geoorbit_ros.core.input_report import InputReport, Treatment
 from geoorbit_ros.core.lanes import CrossSection, Lane, LaneMap, Status
 from geoorbit_ros.core.polylines import offset_line, project
+from geoorbit_ros.lanes.geojson_tidying import Tidying, is_number
 
+EXPECTED = "a GeoJSON file of lanes"
 ROLES = ("centerline", "left", "right")
 MAX_EXTENT_M = 20_000.0
 """A lane further from the datum than this is in the wrong place: no camera sees 20 km."""
 DRAWN_WIDTH_M = 3.5
 """Distance between boundaries that are made up because a file has only centrelines."""
-
-_NUMBERS: dict[str, tuple[float, float]] = {
-    "confidence": (0.0, 1.0),
-    "width_m": (0.0, 100.0),
-    "width_sigma_m": (0.0, 100.0),
-    "vehicles": (0.0, np.inf),
-    "vehicles_missing": (0.0, np.inf),
-    "sigma_m": (0.0, 1e6),
-}
-"""Ranges of a lane's numbers in a file; values outside are refused."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,11 +42,19 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Collection:
-    """A checked file: its features and its `geoorbit` member (empty in a third party's file)."""
+    """A checked file: its features and its `geoorbit` member (empty in a third party's file).
+
+    Attributes:
+        path: The file.
+        lines: Its features that can be used.
+        about: Its member `geoorbit`.
+        report: What was repaired or left out.
+    """
 
     path: Path
     lines: tuple[Line, ...]
     about: dict[str, Any]
+    report: InputReport
 
 
 def load_collection(path: Path) -> Collection:
@@ -75,12 +79,12 @@ def parse_collection(text: str, path: Path) -> Collection:
         InputFileError: Not JSON, not a FeatureCollection of lane lines.
     """
     try:
-        data = json.loads(text, parse_constant=_no_constant)
+        data = json.loads(text)
     except json.JSONDecodeError as error:
         where = f"{path}, line {error.lineno}"
         raise InputFileError(where, error.msg, "a GeoJSON file") from error
-    except ValueError as error:  # NaN in the JSON
-        raise InputFileError(str(path), error, "a GeoJSON file") from error
+    if isinstance(data, dict) and data.get("type") == "Feature":
+        data = {"type": "FeatureCollection", "features": [data]}
     if not isinstance(data, dict) or data.get("type") != "FeatureCollection":
         found = data.get("type") if isinstance(data, dict) else type(data).__name__
         raise InputFileError(f"{path}, 'type'", repr(found), "'FeatureCollection'")
@@ -93,7 +97,30 @@ def parse_collection(text: str, path: Path) -> Collection:
     version = about.get("format", 1)
     if version != 1:
         raise InputFileError(f"{path}, 'geoorbit.format'", version, "format 1")
-    return Collection(path, tuple(_line(path, k, f) for k, f in enumerate(features)), about)
+    report = InputReport(str(path), "features", len(features))
+    tidy = Tidying(path, data.get("crs"), about.get("datum"), features)
+    lines, faults = [], dict[tuple[str, str], list[str]]()
+    for k, feature in enumerate(features):
+        try:
+            lines.append(_line(path, k, tidy.tidied(k, feature)))
+        except InputFileError as error:
+            _note(faults, path, error)
+    tidy.tell(report)
+    _tell(faults, report)
+    return Collection(path, tuple(lines), about, report)
+
+
+def _note(faults: dict[tuple[str, str], list[str]], path: Path, error: InputFileError) -> None:
+    """Sort a feature's fault by what it should have been."""
+    place = error.place.removeprefix(f"{path}, ")
+    key = (place.partition(", ")[2], error.expected)
+    faults.setdefault(key, []).append(f"{place}: found {error.found}")
+
+
+def _tell(faults: dict[tuple[str, str], list[str]], report: InputReport, each: int = 1) -> None:
+    for (key, expected), found in faults.items():
+        text = f"{key}: expected {expected}" if key else f"expected {expected}"
+        report.add(Treatment.LEFT_OUT, each * len(found), text, found[0])
 
 
 def datum_of(collection: Collection) -> Datum:
@@ -121,17 +148,30 @@ def datum_of(collection: Collection) -> Datum:
 def lanes_of(collection: Collection, datum: Datum) -> tuple[Lane, ...]:
     """The file's lanes in metres around `datum`, ordered by id.
 
-    Raises:
-        InputFileError: A lane twice, without centreline, without length or far from the datum.
+    Lanes twice, without centreline, without length or far from the datum are left out; the
+    collection's report says so.
     """
     by_lane: dict[int, dict[str, Line]] = {}
+    faults: dict[tuple[str, str], list[str]] = {}
     for line in collection.lines:
         roles = by_lane.setdefault(line.lane_id, {})
         if line.role in roles:
             found = f"a second {line.role} of lane {line.lane_id}"
-            raise InputFileError(line.place, found, "one feature per lane_id and role")
+            error = InputFileError(line.place, found, "one feature per lane_id and role")
+            _note(faults, collection.path, error)
+            continue
         roles[line.role] = line
-    return tuple(_lane(collection.path, k, by_lane[k], datum) for k in sorted(by_lane))
+    _tell(faults, collection.report)
+    lanes = []
+    for lane_id in sorted(by_lane):
+        roles = by_lane[lane_id]
+        try:
+            lanes.append(_lane(collection, lane_id, roles, datum))
+        except InputFileError as error:
+            faults = {}
+            _note(faults, collection.path, error)
+            _tell(faults, collection.report, len(roles))
+    return tuple(lanes)
 
 
 def map_of(collection: Collection, datum: Datum, lanes: tuple[Lane, ...]) -> LaneMap:
@@ -159,23 +199,35 @@ def map_of(collection: Collection, datum: Datum, lanes: tuple[Lane, ...]) -> Lan
         raise InputFileError(place, error, "the members docs/formats.md lists") from error
 
 
-def _lane(path: Path, lane_id: int, roles: dict[str, Line], datum: Datum) -> Lane:
-    if "centerline" not in roles:
+def _lane(collection: Collection, lane_id: int, roles: dict[str, Line], datum: Datum) -> Lane:
+    lines = {role: _local(line, datum) for role, line in roles.items()}
+    if "centerline" not in lines and {"left", "right"} <= lines.keys():
+        left, right = lines["left"], lines["right"]
+        lines["centerline"] = 0.5 * (left + _beside(left, _same_way(left, right)))
+        text = "a lane without a centreline has it between its boundaries"
+        collection.report.add(Treatment.REPAIRED, 2, text, f"lane {lane_id}")
+    if "centerline" not in lines:
         found = f"only {' and '.join(sorted(roles))} of lane {lane_id}"
-        raise InputFileError(str(path), found, "a feature with role 'centerline' for each lane")
-    center = _local(roles["centerline"], datum)
-    given = roles["centerline"].properties
+        expected = "a feature with role 'centerline' for each lane"
+        raise InputFileError(str(collection.path), found, expected)
+    center = lines["centerline"]
+    given = roles["centerline" if "centerline" in roles else "left"].properties
     width = _number(given, "width_m", float("nan"))
     sides = []
     for role, sign in (("left", 1.0), ("right", -1.0)):
-        if role in roles:
-            beside = _local(roles[role], datum)
+        if role in lines:
+            beside = _same_way(center, lines[role])
             same = len(beside) == len(center)
             sides.append(beside if same else _beside(center, beside))
         else:
             half = 0.5 * (width if np.isfinite(width) else DRAWN_WIDTH_M)
             sides.append(offset_line(center, sign * half))
-    if not np.isfinite(width) and "left" in roles and "right" in roles:
+    both = "left" in lines and "right" in lines
+    if both and _on_left(center, sides[1]) > 0.0 > _on_left(center, sides[0]):
+        sides.reverse()
+        text = "left and right of a lane are exchanged"
+        collection.report.add(Treatment.REPAIRED, 2, text, f"lane {lane_id}")
+    if not np.isfinite(width) and both:
         width = float(np.mean(np.hypot(*(sides[0] - sides[1]).T)))
     status: Status = given.get("status", "confirmed")
     return Lane(
@@ -191,6 +243,17 @@ def _lane(path: Path, lane_id: int, roles: dict[str, Line], datum: Datum) -> Lan
         vehicles_missing=int(_number(given, "vehicles_missing", 0.0)),
         sigma_m=_number(given, "sigma_m", float("nan")),
     )
+
+
+def _same_way(center: NDArray[np.float64], line: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A boundary in the direction of its lane, also when it was drawn the other way."""
+    along = float((center[-1] - center[0]) @ (line[-1] - line[0]))
+    return line if along >= 0.0 else line[::-1]
+
+
+def _on_left(center: NDArray[np.float64], line: NDArray[np.float64]) -> float:
+    """Median distance of a line to the left of another."""
+    return float(np.median(project(line, center).offset_m))
 
 
 def _beside(center: NDArray[np.float64], line: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -229,7 +292,7 @@ def _line(path: Path, k: int, feature: Any) -> Line:
         found = geometry.get("type") if isinstance(geometry, dict) else geometry
         raise InputFileError(f"{place}, 'geometry'", repr(found), "a LineString")
     lane_id = properties.get("lane_id")
-    if not _is_number(lane_id) or lane_id != int(lane_id):
+    if not is_number(lane_id) or lane_id != int(lane_id):
         raise InputFileError(f"{place}, 'lane_id'", repr(lane_id), "a whole number")
     for key, values, default in (
         ("role", ROLES, "centerline"),
@@ -238,11 +301,6 @@ def _line(path: Path, k: int, feature: Any) -> Line:
         value = properties.get(key, default)
         if value not in values:
             raise InputFileError(f"{place}, '{key}'", repr(value), " or ".join(map(repr, values)))
-    for key, (low, high) in _NUMBERS.items():
-        value = properties.get(key)
-        if value is not None and not (_is_number(value) and low <= value <= high):
-            limit = f"a number from {low:g} to {high:g}" if high < np.inf else "a number, 0 or more"
-            raise InputFileError(f"{place}, '{key}'", repr(value), limit)
     role = properties.get("role", "centerline")
     points = _points(place, geometry.get("coordinates"))
     return Line(place, int(lane_id), role, points, properties)
@@ -255,7 +313,7 @@ def _points(place: str, coordinates: object) -> NDArray[np.float64]:
         raise InputFileError(place, found, "at least two points")
     for k, point in enumerate(coordinates):
         pair = point[:2] if isinstance(point, list) else []  # an altitude may follow
-        if len(pair) != 2 or not all(map(_is_number, pair)):
+        if len(pair) != 2 or not all(map(is_number, pair)):
             expected = "[longitude, latitude] in numbers"
             raise InputFileError(f"{place}, point {k}", repr(point), expected)
         if not (abs(pair[0]) <= 180 and abs(pair[1]) <= 90):
@@ -264,14 +322,6 @@ def _points(place: str, coordinates: object) -> NDArray[np.float64]:
     return np.array([point[:2] for point in coordinates], dtype=np.float64)
 
 
-def _is_number(value: object) -> TypeGuard[float]:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-
-
 def _number(properties: dict[str, Any], key: str, default: float) -> float:
     value = properties.get(key)
     return default if value is None else float(value)
-
-
-def _no_constant(name: str) -> float:
-    raise ValueError(f"the number {name}")

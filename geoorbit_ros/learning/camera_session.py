@@ -16,8 +16,7 @@ from geoorbit_ros.core.tables import Frames
 from geoorbit_ros.federated.keys import Signer
 from geoorbit_ros.federated.payloads.global_model import interface_digest
 from geoorbit_ros.federated.payloads.lane_parameters import ThetaPayload
-from geoorbit_ros.federated.rounds.client import FederatedClient, Work
-from geoorbit_ros.federated.rounds.resend_queue import ResendQueue
+from geoorbit_ros.federated.rounds.client import FederatedClient, ResendQueue, Work
 from geoorbit_ros.lanes.parameters import LaneParameters
 from geoorbit_ros.learning.camera_learning import LearningResult, learn_from_camera
 from geoorbit_ros.learning.camera_task import CameraTask

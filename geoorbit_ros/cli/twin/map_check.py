@@ -29,15 +29,14 @@ def validate(lanes: LanesArgument, net: NetOption, out: OutOption) -> None:
     """
     import json
 
-    from geoorbit_ros.cli.console import console
-    from geoorbit_ros.lanes.geojson import read_lane_file
+    from geoorbit_ros.cli.console import console, read_lanes_aloud
     from geoorbit_ros.mapcheck.validation import validate as compare
     from geoorbit_ros.mapcheck.validation_image import save_validation
     from geoorbit_ros.roadnet.network import load_network
     from geoorbit_ros.storage.atomic import atomic_output
 
     with atomic_output(out) as folder:
-        file = read_lane_file(lanes)
+        file = read_lanes_aloud(lanes)
         network = load_network(net, file.datum)
         found = compare(file.lane_map.lanes, network)
         folder.mkdir()
@@ -60,15 +59,14 @@ def patch(lanes: LanesArgument, net: NetOption, out: OutOption) -> None:
     """
     import json
 
-    from geoorbit_ros.cli.console import console, count_of, say, status
-    from geoorbit_ros.lanes.geojson import read_lane_file
+    from geoorbit_ros.cli.console import console, count_of, read_lanes_aloud, say, status
     from geoorbit_ros.mapcheck.patch import patch_network
     from geoorbit_ros.mapcheck.validation_image import save_validation
     from geoorbit_ros.roadnet.network import load_network
     from geoorbit_ros.storage.atomic import atomic_output
 
     with atomic_output(out) as folder:
-        file = read_lane_file(lanes)
+        file = read_lanes_aloud(lanes)
         network = load_network(net, file.datum)
         folder.mkdir()
         seen = file.lane_map.lanes

@@ -3,7 +3,7 @@
 from federation_parts import FEDERATION, Federation
 
 from geoorbit_ros.federated.errors import PayloadError, Refusal
-from geoorbit_ros.federated.rounds.resend_queue import ResendQueue
+from geoorbit_ros.federated.rounds.client import ResendQueue
 from geoorbit_ros.federated.rounds.server_config import ServerConfig
 
 NAMES = ("north", "south")

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pyproj import Transformer
 
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.core.errors import InputFileError
@@ -185,6 +186,13 @@ def points(data: dict[str, Any], value: object) -> dict[str, Any]:
     return changed
 
 
+def geometry(data: dict[str, Any], kind: str | None, value: object) -> dict[str, Any]:
+    changed = copy.deepcopy(data)
+    shape = None if kind is None else {"type": kind, "coordinates": value}
+    changed["features"][0]["geometry"] = shape
+    return changed
+
+
 def swapped(data: dict[str, Any]) -> dict[str, Any]:
     changed = copy.deepcopy(data)
     for feature in changed["features"]:
@@ -195,21 +203,32 @@ def swapped(data: dict[str, Any]) -> dict[str, Any]:
 
 WRONG: list[tuple[str, Any, tuple[str, ...]]] = [
     ("not an object", lambda _: [1], ("'type'", "list", "FeatureCollection")),
-    ("a bare feature", lambda d: d["features"][0], ("'Feature'", "FeatureCollection")),
     ("no features", lambda _: {"type": "FeatureCollection"}, ("'features'", "None")),
     ("id missing", lambda d: first(d, "lane_id", None), ("feature 0", "'lane_id'", "whole")),
+    ("a point", lambda d: geometry(d, "Point", [1.0, 2.0]), ("'Point'", "a LineString")),
+    ("no geometry", lambda d: geometry(d, None, None), ("'geometry'", "a LineString")),
+    (
+        "parts",
+        lambda d: geometry(d, "MultiLineString", [[[1, 2], [1, 3]], [[5, 2], [5, 3]]]),
+        ("'MultiLineString'", "a LineString"),
+    ),
+    ("system", lambda d: {**d, "crs": {"properties": {"name": "nowhere"}}}, ("'crs'", "nowhere")),
     ("id text", lambda d: first(d, "lane_id", "A"), ("feature 0", "'lane_id'", "'A'")),
     ("role", lambda d: first(d, "role", "middle"), ("'role'", "'middle'", "'centerline'")),
-    ("status", lambda d: first(d, "status", "sure"), ("'status'", "'sure'", "'confirmed'")),
-    ("confidence", lambda d: first(d, "confidence", 1.7), ("'confidence'", "1.7", "from 0 to 1")),
-    ("width", lambda d: first(d, "width_m", "wide"), ("'width_m'", "'wide'", "number")),
+    ("status", lambda d: first(d, "status", "sure"), ("'status'", "'sure'", "confirmed")),
+    (
+        "confidence",
+        lambda d: first(d, "confidence", 1.7),
+        ("'confidence'", "1.7", "outside 0 to 1"),
+    ),
+    ("width", lambda d: first(d, "width_m", "wide"), ("'width_m'", "'wide'", "not used")),
     ("twice", lambda d: first(d, "role", "left"), ("feature 1", "second left of lane 1")),
     ("one point", lambda d: points(d, [[1.0, 2.0]]), ("'coordinates'", "1 points", "two points")),
     ("text point", lambda d: points(d, [["a", 2], [1, 2]]), ("point 0", "['a', 2]", "numbers")),
     ("latitude 95", lambda d: points(d, [[1, 95], [1, 2]]), ("point 0", "[1, 95]", "-90..90")),
     ("no length", lambda d: points(d, [[-89.3424, 43.0439]] * 2), ("without length",)),
     ("far", lambda d: points(d, [[2.0, 48.0], [2.1, 48.0]]), ("point 0", "[2.0, 48.0]", "20 km")),
-    ("swapped", swapped, ("feature 0", "longitude")),
+    ("swapped", swapped, ("feature 0", "latitude stands first")),
     ("version", lambda d: {**d, "geoorbit": {"format": 9}}, ("geoorbit.format", "9", "format 1")),
     ("datum", lambda d: {**d, "geoorbit": {"datum": {"latitude": 1}}}, ("geoorbit.datum",)),
 ]
@@ -221,7 +240,7 @@ def test_wrong_files_are_one_sentence_with_place_and_value(
 ) -> None:
     path = put(tmp_path / "wrong.geojson", change(collection()))
     with pytest.raises(InputFileError) as caught:
-        read_lanes(path)
+        read_lane_file(path, strict=True)
     message = str(caught.value)
     assert "wrong.geojson" in message
     assert "\n" not in message
@@ -229,12 +248,124 @@ def test_wrong_files_are_one_sentence_with_place_and_value(
         assert word in message
 
 
-@pytest.mark.parametrize("text", [b"", b"{", b'{"a": NaN}', b"\xff\xfe\x00"])
+@pytest.mark.parametrize("text", [b"", b"{", b"\xff\xfe\x00"])
 def test_not_json(tmp_path: Path, text: bytes) -> None:
     path = tmp_path / "broken.geojson"
     path.write_bytes(text)
     with pytest.raises(InputFileError, match=r"broken\.geojson.*expected a GeoJSON file"):
         read_lanes(path)
+
+
+def each_property(data: dict[str, Any], key: str, value: object) -> dict[str, Any]:
+    changed = copy.deepcopy(data)
+    for feature in changed["features"]:
+        if value is None:
+            del feature["properties"][key]
+        else:
+            feature["properties"][key] = value
+    return changed
+
+
+def in_parts(data: dict[str, Any]) -> dict[str, Any]:
+    changed = copy.deepcopy(data)
+    for feature in changed["features"]:
+        line = feature["geometry"]["coordinates"]
+        parts = {"type": "MultiLineString", "coordinates": [line[:20], line[19:]]}
+        feature["geometry"] = parts
+    return changed
+
+
+def turned(data: dict[str, Any]) -> dict[str, Any]:
+    """Boundaries drawn against the direction of travel."""
+    changed = copy.deepcopy(data)
+    for feature in changed["features"]:
+        if feature["properties"]["role"] != "centerline":
+            feature["geometry"]["coordinates"].reverse()
+    return changed
+
+
+def sides_exchanged(data: dict[str, Any]) -> dict[str, Any]:
+    changed = copy.deepcopy(data)
+    other = {"left": "right", "right": "left", "centerline": "centerline"}
+    for feature in changed["features"]:
+        feature["properties"]["role"] = other[feature["properties"]["role"]]
+    return changed
+
+
+def utm(data: dict[str, Any]) -> dict[str, Any]:
+    changed = copy.deepcopy(data)
+    to_utm = Transformer.from_crs("EPSG:4326", "EPSG:32616", always_xy=True)
+    for feature in changed["features"]:
+        x, y = to_utm.transform(*np.array(feature["geometry"]["coordinates"]).T)
+        feature["geometry"]["coordinates"] = np.column_stack((x, y)).tolist()
+    changed["crs"] = {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::32616"}}
+    return changed
+
+
+def without_centrelines(data: dict[str, Any]) -> dict[str, Any]:
+    roles = ("left", "right")
+    return {**data, "features": [f for f in data["features"] if f["properties"]["role"] in roles]}
+
+
+SAME: list[tuple[str, Any, str]] = [
+    ("swapped", swapped, "latitude stands first"),
+    ("in parts", in_parts, "MultiLineString"),
+    ("boundaries turned", turned, ""),
+    ("sides exchanged", sides_exchanged, "left and right"),
+    ("UTM", utm, "EPSG::32616"),
+    ("only boundaries", without_centrelines, "between its boundaries"),
+    ("odd status", lambda d: each_property(d, "status", "sure"), "taken as confirmed"),
+    ("Confirmed", lambda d: each_property(d, "status", " Confirmed"), ""),
+    ("confidence in percent", lambda d: each_property(d, "confidence", 97), "'confidence'"),
+    ("altitudes", lambda d: points(d, [[*p, 12.5] for p in
+     d["features"][0]["geometry"]["coordinates"]]), ""),
+    ("a point without number", lambda d: points(d, [
+        *d["features"][0]["geometry"]["coordinates"], [None, 1.0]]), "no numbers"),
+    ("other things in the file", lambda d: {**d, "features": [
+        *d["features"], {"type": "Feature", "properties": {}, "geometry": {
+            "type": "Point", "coordinates": [1, 2]}}, None]}, "left out"),
+    ("a lane twice", lambda d: {**d, "features": [*d["features"], d["features"][0]]}, "a second"),
+    ("a lane far away", lambda d: {**d, "features": [*d["features"], {
+        "type": "Feature", "properties": {"lane_id": 9}, "geometry": {
+            "type": "LineString", "coordinates": [[2, 48], [2.1, 48]]}}]}, "20 km"),
+]  # fmt: skip
+"""Files that give the same two lanes, and what is said of them."""
+
+
+@pytest.mark.parametrize(("change", "said"), [x[1:] for x in SAME], ids=[x[0] for x in SAME])
+def test_odd_files_give_the_same_lanes_and_tell_it(tmp_path: Path, change: Any, said: str) -> None:
+    file = read_lane_file(put(tmp_path / "odd.geojson", change(collection())))
+    told = " | ".join(file.report.sentences())
+    assert said in told
+    assert bool(told) == bool(said)
+    assert [lane.lane_id for lane in file.lane_map.lanes] == [1, 4]
+    for found, true in zip(file.lane_map.lanes, lane_map().lanes, strict=True):
+        assert found.status == "confirmed"
+        for name in ("centerline_m", "left_m", "right_m"):
+            assert furthest_m(getattr(found, name), getattr(true, name)) < 0.02
+
+
+def test_lanes_without_numbers_are_numbered_in_their_order(tmp_path: Path) -> None:
+    data = collection()
+    lines = [f for f in data["features"] if f["properties"]["role"] == "centerline"]
+    for feature in lines:
+        feature["properties"] = {"name": "a lane"}
+    file = read_lane_file(put(tmp_path / "l.geojson", {**data, "features": lines}))
+    assert [lane.lane_id for lane in file.lane_map.lanes] == [1, 2]
+    assert "numbered in their order" in " ".join(file.report.sentences())
+
+
+def test_a_single_feature_is_a_file_of_one_lane(tmp_path: Path) -> None:
+    file = read_lane_file(put(tmp_path / "l.geojson", collection()["features"][0]))
+    assert [lane.lane_id for lane in file.lane_map.lanes] == [1]
+
+
+def test_a_file_most_of_which_is_no_lanes_is_refused(tmp_path: Path) -> None:
+    point = {"type": "Feature", "properties": {}, "geometry": {"type": "Point", "coordinates": []}}
+    data = collection()
+    path = put(tmp_path / "l.geojson", {**data, "features": [*data["features"], *[point] * 7]})
+    with pytest.raises(InputFileError, match=r"7 of 13 features left out: .*LineString"):
+        read_lane_file(path)
 
 
 def test_missing_file(tmp_path: Path) -> None:
