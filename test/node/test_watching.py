@@ -61,13 +61,19 @@ class Graph:
     """The nodes of a fleet with one camera and a twin, in this process.
 
     Attributes:
+        frames: Serialised vehicles, one message per image of the film.
         sent: Serialised messages by topic, of topics that `hear` was called with.
     """
 
     nodes: Composition
     probe: Probe
     viewer: ViewerNode
+    frames: list[bytes] = field(default_factory=list)
     sent: dict[str, list[bytes]] = field(default_factory=dict)
+
+    def wait(self, met: Callable[[], bool], what: str) -> None:
+        """Wait while images come, however slowly, for some rounds of the film at most."""
+        self.nodes.wait(met, LIMIT_S, what, lambda: min(len(self.frames), FRAMES))
 
     def types(self) -> dict[str, list[str]]:
         return dict(self.probe.node.get_topic_names_and_types())
@@ -102,16 +108,10 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
                 nodes.make(node_class(node.executable), node.namespace, node.parameters)
         viewer = nodes.make(ViewerNode, "", {"port": 0, "discovery_period_s": 0.1})
         graph = Graph(nodes, Probe(nodes), viewer)
-        frames: list[object] = []
         graph.probe.node.create_subscription(
-            PoseArray, "/north/vehicles", frames.append, STREAM, raw=True
+            PoseArray, "/north/vehicles", graph.frames.append, STREAM, raw=True
         )
-        nodes.wait(
-            lambda: "/north/lanes/lane_1/centerline" in graph.types(),
-            LIMIT_S,
-            "a confirmed lane",
-            lambda: min(len(frames), FRAMES),
-        )
+        graph.wait(lambda: "/north/lanes/lane_1/centerline" in graph.types(), "a confirmed lane")
         yield graph
 
 
@@ -141,7 +141,7 @@ def test_a_viewer_gets_every_channel_in_time_and_decodes_what_was_published(grap
         topics = graph.viewer.server.topics
         return {topic for topic in topics if topic.startswith("/north/lanes/lane_")}
 
-    graph.nodes.wait(lambda: len(lanes_offered()) >= 3, LIMIT_S, "a lane's paths offered")
+    graph.wait(lambda: len(lanes_offered()) >= 3, "a lane's paths offered")
     offered, lanes = graph.viewer.server.topics, lanes_offered()
     shown = layout_topics(["north"])
     derived = {f"/north/{name}" for name in (ANNOTATIONS, LANE_MAP)}
@@ -153,7 +153,7 @@ def test_a_viewer_gets_every_channel_in_time_and_decodes_what_was_published(grap
     # Processor time of this process, in which all of it runs: others beside it take none of that.
     began = time.process_time()
     with FoxgloveClient(graph.viewer.server.port) as client:
-        graph.nodes.wait(lambda: wanted <= set(client.received()), LIMIT_S, "all channels")
+        graph.wait(lambda: wanted <= set(client.received()), "all channels")
         took_s = time.process_time() - began
         received, channels = client.received(), client.channels
     assert took_s < 2.0
