@@ -86,7 +86,7 @@ def camera(name: str, folder: Path, server_key: str, settings: dict[str, object]
     from geoorbit_ros.core.tables import TRACK_DTYPE
     from geoorbit_ros.federated.rounds.local_work import LocalResult
     from geoorbit_ros.learning import camera_session
-    from geoorbit_ros.learning.camera_learning import LearningResult
+    from geoorbit_ros.learning.camera_session import LearningResult
     from geoorbit_ros.nodes.meta_client import MetaClientNode
     from geoorbit_ros.nodes.support.process import make_executor
 

@@ -13,18 +13,17 @@ from typing import Annotated
 import typer
 
 from geoorbit_ros import __version__
-from geoorbit_ros.cli import bag, camera, database, federation, scene, twin
+from geoorbit_ros.cli import bag, camera, database, scene, twin
 from geoorbit_ros.cli import map as road_map
-from geoorbit_ros.cli.demo import demo
 from geoorbit_ros.cli.detect import detect
 from geoorbit_ros.cli.export import export
 from geoorbit_ros.cli.lanes import lanes, score
 from geoorbit_ros.cli.process import process
-from geoorbit_ros.cli.replay import replay
+from geoorbit_ros.cli.replay import demo, replay
 from geoorbit_ros.cli.report import report
 from geoorbit_ros.cli.status import status
 from geoorbit_ros.cli.track import track
-from geoorbit_ros.cli.train import evaluate, train
+from geoorbit_ros.cli.train import evaluate, federation, train
 from geoorbit_ros.cli.up import app as fleet
 from geoorbit_ros.cli.up import up
 from geoorbit_ros.cli.view import view
@@ -89,7 +88,7 @@ _GROUPS = {
     "db": database.app,
     "map": road_map.app,
     "twin": twin.app,
-    "federation": federation.app,
+    "federation": federation,
 }
 for _name, _command in _COMMANDS.items():
     app.command(_name)(_command)

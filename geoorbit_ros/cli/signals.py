@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from threading import Event
-from types import TracebackType
 from typing import Any
 
 EXIT_INTERRUPTED = 130
@@ -63,12 +62,7 @@ class Interruption:
             self._hook, sys.unraisablehook = sys.unraisablehook, self._on_dropped
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         for number, handler in self._handlers.items():
             signal.signal(number, signal.SIG_IGN if self._ends_process else handler)
         if self._handlers and not self._ends_process:

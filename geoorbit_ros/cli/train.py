@@ -1,4 +1,4 @@
-"""`geoorbit train` and `geoorbit evaluate`: a meta-learner from a population of cameras."""
+"""`geoorbit train`, `evaluate` and `federation`: a meta-learner from a population of cameras."""
 
 from __future__ import annotations
 
@@ -13,6 +13,10 @@ from geoorbit_ros.core.plugins import check_name, expected, is_plugin, registere
 if TYPE_CHECKING:
     from geoorbit_ros.learning.study import Study
     from geoorbit_ros.learning.training import Mode, RunSettings, TrainedModel
+
+federation = typer.Typer(
+    no_args_is_help=True, help="Keys of a federation, and how much privacy its settings give."
+)
 
 
 class ModeName(StrEnum):
@@ -172,3 +176,36 @@ def evaluate(
         console.print(shown)
     study_tables.write_tables(tables, folder)
     console.print(f" Wrote {folder}", soft_wrap=True)
+
+
+@federation.command("key")
+def key(
+    file: Annotated[Path, typer.Argument(help="New file for the private key.")],
+) -> None:
+    """Make a key: the private half goes to a file, the public half is printed.
+
+    The line that is printed belongs on the server's roster, with the camera's name for the file's.
+    The file can only be read by its owner, and is never replaced.
+
+    Example: [bold]geoorbit federation key north.key >> roster.txt[/bold]
+    """
+    from geoorbit_ros.federated.keys import write_private_key
+
+    typer.echo(f"{file.stem} {write_private_key(file).hex()}")
+
+
+@federation.command("epsilon")
+def epsilon(
+    noise: Annotated[float, typer.Argument(help="noise_multiplier of federated_server.")],
+    rounds: Annotated[int, typer.Argument(help="Rounds that a camera takes part in.")],
+    delta: Annotated[
+        float, typer.Option("--delta", help="Probability with which the bound may fail.")
+    ] = 1e-5,
+) -> None:
+    """Say what differential privacy a camera has: epsilon at delta.
+
+    Example: [bold]geoorbit federation epsilon 4 20[/bold]
+    """
+    from geoorbit_ros.federated.privacy.differential import epsilon as privacy_loss
+
+    typer.echo(f"epsilon = {privacy_loss(noise, rounds, delta):.2f} at delta = {delta:g}")

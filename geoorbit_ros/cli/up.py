@@ -159,8 +159,15 @@ def _check_plugins(file: Path, plans: Sequence[ProcessPlan]) -> None:
         try:
             makers[kind](name)
         except (ParameterError, PluginError) as error:
-            where = f"{file}, {place}, {error.place}"
+            where = f"{file}{_line_of(name, file)}, {place}, {error.place}"
             raise ParameterError(where, error.found, error.expected) from error
+
+
+def _line_of(plugin: str, file: Path) -> str:
+    """Where the fleet file first names a plug-in; its path may stand there relative to the file."""
+    lines = file.read_text(encoding="utf-8").splitlines()
+    found = next((k for k, line in enumerate(lines, 1) if Path(plugin).name in line), None)
+    return f", line {found}" if found else ""
 
 
 def _watch(

@@ -11,7 +11,7 @@ import yaml
 
 from geoorbit_ros.core.errors import InputFileError, ParameterError
 from geoorbit_ros.core.input_report import InputReport, Treatment
-from geoorbit_ros.core.resources import share_path
+from geoorbit_ros.core.resources import file_or_shipped
 from geoorbit_ros.fleet.fleet_file import IDENTIFIER, SERVICE_MODELS, Camera, Fleet
 from geoorbit_ros.parameters import nearest
 from geoorbit_ros.storage.atomic import atomic_output
@@ -23,11 +23,6 @@ _SWITCH: dict[str, dict[str, bool]] = {
     **{word: {"enabled": False} for word in ("false", "no", "off")},
 }
 """What a service that is only switched on or off means."""
-
-
-def shipped_fleets() -> list[str]:
-    """Names of the fleets that come with the package."""
-    return sorted(file.stem for file in share_path(FOLDER).glob("*.yaml"))
 
 
 def load_fleet(path: str | Path, report: InputReport | None = None) -> tuple[Fleet, Path]:
@@ -44,12 +39,7 @@ def load_fleet(path: str | Path, report: InputReport | None = None) -> tuple[Fle
     Raises:
         InputFileError: No such file, or a value that a fleet can't have, with its line and key.
     """
-    file = Path(path)
-    if not file.suffix and str(path) == file.name and not file.is_file():
-        if file.name not in shipped_fleets():
-            expected = f"a file, or one of {', '.join(shipped_fleets())}"
-            raise InputFileError(f"fleet '{path}'", "no such fleet", expected)
-        file = share_path(f"{FOLDER}/{path}.yaml")
+    file = file_or_shipped(path, FOLDER, "fleet")
     if report is None:
         return read_yaml(file, Fleet, "fleet"), file
     return _usable(read_text(file, "fleet", report), report), file

@@ -84,8 +84,7 @@ COLUMNS = (
 SERVICE_COLUMNS: Mapping[str, tuple[tuple[str, str], ...]] = {
     "federated_server": (
         ("{}", "progress"),
-        ("{} asked", "selected"),
-        ("{} answered", "collected"),
+        ("{} clients answered", "answers"),
         ("loss {}", "loss"),
     ),
     "sumo_bridge": (

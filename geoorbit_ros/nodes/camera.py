@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-import threading
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,27 +11,23 @@ from pathlib import Path
 
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
-from rclpy.publisher import Publisher
 from sensor_msgs.msg import CompressedImage
 
-from geoorbit_ros.conversions import encode_jpeg
 from geoorbit_ros.core.addresses import read_password, with_password
-from geoorbit_ros.core.errors import MessageError, ParameterError
+from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
+from geoorbit_ros.nodes.support.image_sender import ImageSender
 from geoorbit_ros.nodes.support.process import run_node
 from geoorbit_ros.nodes.support.qos import stream_qos
 from geoorbit_ros.rendering.frame_source import SCENES
-from geoorbit_ros.storage.frames.feed import STOP_TIMEOUT_S, FrameFeed
+from geoorbit_ros.storage.frames.feed import FrameFeed
 from geoorbit_ros.storage.frames.open_source import open_frame_source
-from geoorbit_ros.storage.frames.source import START_NS, FrameSourceError, Image, SourceOptions
+from geoorbit_ros.storage.frames.source import START_NS, FrameSourceError, SourceOptions
 
 OWN_START = -1.0
 """Value of `start_time_s` for the time that the file says."""
 WATCH_S = 0.1
 """Between two looks at the threads. Chosen: larger, a start or an end is noticed later."""
-TAKE_TIMEOUT_S = 0.2
-"""How long the sender waits for a frame before it looks whether it should end. Chosen: larger, the
-node ends later; smaller, an idle camera wakes the processor more often."""
 SILENT_S = 3.0
 """A camera without a frame for this long is reported on /diagnostics. Chosen: larger, a stopped
 camera is reported later; smaller, one frame in seconds counts as stopped."""
@@ -63,75 +58,6 @@ class CameraParameters:
     wait_for_subscribers: int
     wait_timeout_s: float
     exit_when_done: bool
-
-
-class ImageSender:
-    """Takes frames from a feed as long as there are any.
-
-    Encoding does not hold Python's lock, so a camera costs the nodes beside it little.
-
-    Args:
-        node: Whose parameters and diagnostics to use.
-        publisher: Of CompressedImage.
-        feed: Where the frames come from.
-        frame_id: Optical frame of the camera.
-
-    Attributes:
-        error: What ended the sending, if it was not the end of the feed.
-    """
-
-    def __init__(
-        self,
-        node: GeoOrbitNode[CameraParameters],
-        publisher: Publisher,
-        feed: FrameFeed,
-        frame_id: str,
-    ) -> None:
-        self.error: Exception | None = None
-        self._node, self._publisher, self._feed = node, publisher, feed
-        self._frame_id, self._seen_s = frame_id, time.monotonic()
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="publish", daemon=True)
-
-    def start(self) -> None:
-        """Begin to send."""
-        self._seen_s = time.monotonic()
-        self._thread.start()
-
-    def stop(self) -> None:
-        """End the thread; one that waits for a reader ends with that."""
-        self._stopping.set()
-        if self._thread.is_alive():
-            self._thread.join(STOP_TIMEOUT_S)
-
-    @property
-    def ended(self) -> bool:
-        """Whether a thread that was started has ended."""
-        return not self._thread.is_alive()
-
-    @property
-    def silent_s(self) -> float:
-        """Time since the last frame, or since the start."""
-        return time.monotonic() - self._seen_s
-
-    def _run(self) -> None:
-        try:
-            while not (self._stopping.is_set() or self._feed.finished):
-                frame = self._feed.take(TAKE_TIMEOUT_S)
-                if frame is not None:
-                    self._seen_s = time.monotonic()
-                    self._send(*frame)
-        except Exception as error:  # for the node, which watches this thread
-            self.error = error
-
-    def _send(self, stamp_ns: int, image: Image) -> None:
-        start_s = time.perf_counter()
-        cdr = encode_jpeg(stamp_ns, self._frame_id, image, self._node.p.jpeg_quality)
-        try:
-            self._node.publish_stream(self._publisher, cdr)
-        except MessageError as error:
-            self._node.diagnostics.refuse(error)
-        self._node.diagnostics.took(time.perf_counter() - start_s)
 
 
 class CameraNode(GeoOrbitNode[CameraParameters]):
@@ -177,7 +103,7 @@ class CameraNode(GeoOrbitNode[CameraParameters]):
         qos = stream_qos(p.reliability, p.queue_depth)
         self.images = self.create_publisher(CompressedImage, "image/compressed", qos)
         frame_id = p.frame_id or f"{self.camera_id or 'camera'}_optical_frame"
-        self._sender = ImageSender(self, self.images, self._feed, frame_id)
+        self._sender = ImageSender(self, self.images, self._feed, frame_id, p.jpeg_quality)
         self._deadline_s = time.monotonic() + (0.0 if self._source.live else p.wait_timeout_s)
         self.diagnostics.add_check(self._silent)
         self.create_timer(WATCH_S, self._watch, clock=Clock(clock_type=ClockType.STEADY_TIME))

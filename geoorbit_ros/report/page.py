@@ -145,7 +145,7 @@ def _drawings(content: ReportInput) -> str:
     if drawn < len(paths):
         shown = f"{drawn} of {shown}"
     caption = [
-        f"{shown}, coloured by direction of travel. "
+        f"{shown}, coloured by direction of travel; a track with a gap is drawn as several. "
         "Filled lanes are confirmed, dashed ones tentative; arrows show the direction of travel.",
     ]
     if frame.stretch > 1:

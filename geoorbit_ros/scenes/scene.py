@@ -8,8 +8,7 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from geoorbit_ros.core.errors import InputFileError
-from geoorbit_ros.core.resources import share_path
+from geoorbit_ros.core.resources import file_or_shipped, shipped_names
 from geoorbit_ros.scenes.road_plan import Positive, Road, RoadPoint
 from geoorbit_ros.storage.yaml_file import Key, StrictModel, WrongValue, read_yaml
 
@@ -174,7 +173,7 @@ class Scene(StrictModel):
 
 def shipped_scenes() -> list[str]:
     """Names of the scenes that come with the package."""
-    return sorted(file.stem for file in share_path(_FOLDER).glob("*.yaml"))
+    return shipped_names(_FOLDER)
 
 
 def load_scene(path: str | Path) -> Scene:
@@ -183,13 +182,7 @@ def load_scene(path: str | Path) -> Scene:
     Raises:
         InputFileError: No such file, or a value that a scene can't have, with its line and key.
     """
-    file = Path(path)
-    if not file.suffix and str(path) == file.name and not file.is_file():
-        if file.name not in shipped_scenes():
-            expected = f"a file, or one of {', '.join(shipped_scenes())}"
-            raise InputFileError(f"scene '{path}'", "no such scene", expected)
-        file = share_path(f"{_FOLDER}/{path}.yaml")
-    return read_yaml(file, Scene, "scene")
+    return read_yaml(file_or_shipped(path, _FOLDER, "scene"), Scene, "scene")
 
 
 def check_scene(scene: Scene) -> None:

@@ -11,7 +11,6 @@ import fcntl
 import os
 from datetime import datetime
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from geoorbit_ros.core.errors import InputFileError
@@ -60,10 +59,5 @@ class Ownership:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()

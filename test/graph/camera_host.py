@@ -23,7 +23,7 @@ from made_up_lanes import made_up_reference, made_up_tracks
 from geoorbit_ros.federated.payloads.model_layout import Tensors
 from geoorbit_ros.federated.rounds.client import LocalResult, TrainingOrder
 from geoorbit_ros.learning import camera_session
-from geoorbit_ros.learning.camera_learning import LearningResult
+from geoorbit_ros.learning.camera_session import LearningResult
 from geoorbit_ros.nodes.meta_client import MetaClientNode
 from geoorbit_ros.nodes.support.process import make_executor
 

@@ -32,7 +32,7 @@ from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.lanes.mapping.mapper import LaneMapper
 from geoorbit_ros.lanes.parameters import LaneParameters
 from geoorbit_ros.learning import camera_session
-from geoorbit_ros.learning.camera_learning import LearningResult
+from geoorbit_ros.learning.camera_session import LearningResult
 from geoorbit_ros.learning.meta_learner import MetaLearner
 from geoorbit_ros.nodes.federated_server import FederatedServerNode
 from geoorbit_ros.nodes.lane_geometry import LaneGeometryNode

@@ -17,11 +17,12 @@ from geoorbit_ros.conversions import datum_to_fix, movement_message, movement_of
 from geoorbit_ros.core.lanes import Lane, LaneMap
 from geoorbit_ros.core.tables import TRACK_DTYPE
 from geoorbit_ros.lanes.geojson import dumps_lanes
-from geoorbit_ros.nodes.lane_geometry import LaneGeometryNode, PriorListener
+from geoorbit_ros.nodes.lane_geometry import LaneGeometryNode
 from geoorbit_ros.nodes.sumo_bridge.node import SumoBridgeNode
 from geoorbit_ros.nodes.sumo_bridge.reference_publisher import publish_lanes
 from geoorbit_ros.nodes.support.composition import Composition
 from geoorbit_ros.nodes.support.qos import LATCHED
+from geoorbit_ros.nodes.support.reference_listener import PriorListener
 from geoorbit_ros.roadnet.network import load_network
 
 SHIFT = np.array([0.5, -1.2])

@@ -168,6 +168,11 @@ class FederatedServer:
         return self._selected
 
     @property
+    def wanted(self) -> int:
+        """Updates after which the open round ends before its deadline."""
+        return self._wanted
+
+    @property
     def collected(self) -> int:
         """Updates of the open round so far; under masks, clients heard at its open step."""
         return self._masked.number if self._masked else self._round.number

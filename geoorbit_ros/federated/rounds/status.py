@@ -22,6 +22,7 @@ def server_facts(server: FederatedServer) -> dict[str, object]:
         "finished": server.finished,
         "selected": len(server.selected),
         "collected": server.collected,
+        "answers": f"{server.collected} of {server.wanted}",
         "validated": server.validated,
         "judged": server.validated,  # its old name, until 0.2.0
         "accepted": server.accepted,

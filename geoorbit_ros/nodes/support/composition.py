@@ -9,7 +9,6 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from itertools import count
-from types import TracebackType
 from typing import Any, TypeVar
 
 import rclpy
@@ -176,10 +175,5 @@ class Composition:
     def __enter__(self) -> Composition:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> Any:
+    def __exit__(self, *_: object) -> None:
         self.close()

@@ -1,4 +1,4 @@
-"""Follows the reference lanes of a camera: topics `reference/lane_<k>/{centerline,left,right}`."""
+"""Follows a camera's reference lanes and how its own lanes lie on them: topics `reference/…`."""
 
 from __future__ import annotations
 
@@ -7,12 +7,14 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Path
 from numpy.typing import NDArray
 
-from geoorbit_ros.conversions import decode_path
-from geoorbit_ros.core.errors import GeoOrbitError
-from geoorbit_ros.core.lanes import Lane, lane_of_map
+from geoorbit_ros.conversions import decode_path, movement_of
+from geoorbit_ros.core.errors import GeoOrbitError, MessageError
+from geoorbit_ros.core.lanes import Lane, LaneMap, lane_of_map
+from geoorbit_ros.lanes.mapping.map_prior import MapPrior
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.nodes.support.qos import LATCHED
 
@@ -61,6 +63,50 @@ class ReferenceListener:
             self._on_change(lanes)
 
         self._node.create_subscription(Path, topic, receive, LATCHED, raw=True)
+
+
+class PriorListener:
+    """Topics `reference/lane_<k>/…` and `reference/alignment` become a prior on lanes.
+
+    There is no prior before both have come: without the alignment it isn't known how the camera's
+    lanes lie on the map.
+
+    Args:
+        node: Subscribes, and is told about messages that can't be used.
+    """
+
+    def __init__(self, node: GeoOrbitNode[Any]) -> None:
+        self._node = node
+        self._place = node.resolve_topic_name("reference/alignment")
+        self._lanes: dict[int, Lane] = {}
+        self._movement: tuple[NDArray[np.float64], float] | None = None
+        self.prior: MapPrior | None = None
+        self._references = ReferenceListener(node, self._on_lanes)
+        node.create_subscription(
+            PoseWithCovarianceStamped, self._place, self._on_alignment, LATCHED
+        )
+
+    def refine(self, lane_map: LaneMap) -> LaneMap:
+        """The map with its prior, as it is where there is none."""
+        return lane_map if self.prior is None else self.prior.refine(lane_map)
+
+    def _on_lanes(self, lanes: dict[int, Lane]) -> None:
+        self._lanes = lanes
+        self._renew()
+
+    def _on_alignment(self, message: PoseWithCovarianceStamped) -> None:
+        try:
+            shift, turn_rad, _ = movement_of(message, self._place)
+        except MessageError as error:
+            self._node.diagnostics.refuse(error)
+            return
+        self._movement = (shift, turn_rad)
+        self._renew()
+
+    def _renew(self) -> None:
+        if self._movement is None or not self._lanes:
+            return
+        self.prior = MapPrior.as_seen(self._lanes.values(), *self._movement)
 
 
 def _lane(number: int, lines: dict[str, NDArray[np.float64]]) -> Lane | None:

@@ -9,9 +9,9 @@ import pytest
 import yaml
 
 from geoorbit_ros.core.errors import InputFileError
-from geoorbit_ros.core.resources import share_path
+from geoorbit_ros.core.resources import share_path, shipped_names
 from geoorbit_ros.fleet.fleet_file import CAMERA_NODES, Fleet
-from geoorbit_ros.fleet.fleet_io import load_fleet, shipped_fleets
+from geoorbit_ros.fleet.fleet_io import FOLDER, load_fleet
 from geoorbit_ros.fleet.plan import (
     FleetPlanError,
     ProcessPlan,
@@ -295,7 +295,7 @@ def test_the_schema_for_editors_is_up_to_date() -> None:
     assert shipped == Fleet.model_json_schema(), "run docs/make_fleet_schema.py"
 
 
-@pytest.mark.parametrize("name", shipped_fleets())
+@pytest.mark.parametrize("name", shipped_names(FOLDER))
 def test_shipped_fleets_are_right_and_their_files_are_there(name: str, tmp_path: Path) -> None:
     fleet, file = load_fleet(name)
     assert plan_fleet(fleet, file.parent, tmp_path)

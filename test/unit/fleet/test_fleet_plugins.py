@@ -100,7 +100,10 @@ def test_a_mistake_in_a_plugin_is_told_before_anything_starts(
 def test_a_dry_run_loads_plugins_too(fleet: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (fleet.parent / "red.py").write_text("class Red:", encoding="utf-8")
     assert main(["up", str(fleet), "--dry-run"]) == 2
-    assert "red.py" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert "red.py" in error
+    line = next(k for k, text in enumerate(FLEET.splitlines(), 1) if "red.py" in text)
+    assert f"fleet.yaml, line {line}," in error
 
 
 def test_a_dry_run_shows_no_image_size_that_is_not_known(
