@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
@@ -81,6 +82,7 @@ class CameraRun:
         image_size: (width, height) of the images, (0, 0) before the first.
         projector: From boxes to the road; None before the first image.
         seen: Stamp, detections and tracks of every image so far.
+        clearest: The image with the fewest vehicles, for the report.
     """
 
     homography: Homography
@@ -89,6 +91,7 @@ class CameraRun:
     image_size: tuple[int, int] = (0, 0)
     projector: BoxProjector | None = None
     seen: list[tuple[int, NDArray[np.void], NDArray[np.void]]] = field(default_factory=list)
+    clearest: NDArray[np.uint8] | None = None
 
     def ground_tracks(
         self, images: Iterable[StampedImage], video: Path | None = None, fps: float = 25.0
@@ -115,10 +118,12 @@ class CameraRun:
             writer = None
             if video:
                 writer = files.enter_context(closing(VideoWriter(video, fps, self.image_size)))
-            overlay = ImageOverlay(self.homography)
+            overlay, fewest = ImageOverlay(self.homography), math.inf
             for stamp_ns, image, boxes in chain([first], detected):
                 seen = TrackedImage(stamp_ns, image, boxes, tracker.update(stamp_ns, boxes))
                 self.seen.append((seen.stamp_ns, seen.detections, seen.tracks))
+                if len(boxes) < fewest:
+                    self.clearest, fewest = image.copy(), len(boxes)
                 ground = projector.project(seen.stamp_ns, seen.tracks)
                 if writer:
                     writer.write(self._annotated(overlay, seen, ground))
@@ -155,6 +160,7 @@ class CameraJob:
         update_period_s: Data time between two updates of the map.
         run: The images on their way to tracks; made with the job.
         lane_map: The lanes, once they have been found.
+        nothing: Why there are no lanes; empty where there are.
         reports: What is to be said about the inputs, once the files have been written.
     """
 
@@ -167,6 +173,7 @@ class CameraJob:
     update_period_s: float = DEFAULT_UPDATE_PERIOD_S
     run: CameraRun = field(init=False)
     lane_map: LaneMap = field(init=False)
+    nothing: str = ""
     reports: tuple[InputReport, ...] = ()
     _recording: Recording = field(init=False, default_factory=Recording)
 
@@ -177,7 +184,7 @@ class CameraJob:
     def find_lanes(
         self, images: FrameSource, duration_s: float | None, video: Path | None = None
     ) -> None:
-        """Look at the images, under a progress bar.
+        """Look at the images, under a progress bar; without traffic the map is empty.
 
         Args:
             images: Of the camera.
@@ -190,7 +197,13 @@ class CameraJob:
         shown = shown_images(images, duration_s, "finding vehicles and lanes")
         ground = self.run.ground_tracks(shown, video, images.fps or DEFAULT_FPS)
         tracks = self._recording.tee(ground)
-        self.lane_map = find_lanes(tracks, self.run.mapper, images.name, lambda: self.run.projector)
+        run = self.run
+        try:
+            self.lane_map = find_lanes(tracks, run.mapper, images.name, lambda: run.projector)
+        except NoTrafficError as error:
+            if not run.seen:
+                raise
+            self.lane_map, self.nothing = LaneMap(run.seen[-1][0], ()), str(error.found)
         check_images(images, self.detection.left_out, len(self.run.seen))
 
     def write(self, folder: Path, images: FrameSource) -> None:
@@ -208,6 +221,8 @@ class CameraJob:
         note_other_classes(remarks, frames)
         for sentence in images.remarks.sentences():
             remarks.note(Treatment.NOTED, sentence)
+        if self.nothing:
+            remarks.note(Treatment.NOTED, f"no lane: {self.nothing}")
         projector = self.run.projector
         assert projector is not None, "lanes have been found"
         camera = CameraInput(
@@ -216,4 +231,6 @@ class CameraJob:
         self.reports = camera.reports()
         method = describe_method(self.estimator, self.update_period_s)
         method = f"{self.detection.detector.name}; {method}"
-        save_report(folder / REPORT, camera, self.lane_map, self._recording, method)
+        save_report(
+            folder / REPORT, camera, self.lane_map, self._recording, method, image=self.run.clearest
+        )

@@ -21,9 +21,9 @@ from geoorbit_ros.storage.frames.source import (
     StampedImage,
 )
 
-SPACING_S = 0.25
-"""Time between the images of a warm-up. Chosen: smaller, the warm-up takes longer; larger, a
-vehicle that stops for a moment looks like the road."""
+SPACING_S = 0.1
+"""Time between the images of a warm-up. Chosen: smaller, the warm-up takes longer; larger, vehicles
+can't be followed from one image to the next."""
 LONGEST_S = 120.0
 """Length of a warm-up; of a longer recording, the beginning is used. Chosen: larger, the command
 starts later; smaller, a queue that stands the whole time looks like the road."""
@@ -169,7 +169,7 @@ def _some(images: FrameSource, duration_s: float) -> Iterator[StampedImage]:
         first_ns = stamp_ns if first_ns is None else first_ns
         if stamp_ns - first_ns >= duration_s * 1e9:
             return
-        if last_ns is None or stamp_ns - last_ns >= SPACING_S * 1e9:
+        if last_ns is None or stamp_ns - last_ns >= 0.99 * SPACING_S * 1e9:
             last_ns = stamp_ns
             yield stamp_ns, image
 

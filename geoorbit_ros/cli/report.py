@@ -30,8 +30,14 @@ from geoorbit_ros.cli.inputs import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    import numpy as np
+    from numpy.typing import NDArray
+
     from geoorbit_ros.core.lanes import Lane, LaneMap
     from geoorbit_ros.report.recording import Recording
+
+MAX_STRETCH = 0.01
+"""An image of the same view in another size has these proportions, up to rounding."""
 
 
 def report(
@@ -44,6 +50,10 @@ def report(
     ] = None,
     truth: Annotated[
         Path | None, typer.Option("--truth", help="True lanes, to draw and to score against.")
+    ] = None,
+    image: Annotated[
+        str | None,
+        typer.Option("--image", help="The camera's view, to draw the lanes over: image or video."),
     ] = None,
     camera_id: CameraIdOption = None,
     estimator: EstimatorOption = DEFAULT_ESTIMATOR,
@@ -81,9 +91,30 @@ def report(
     else:
         lane_map = camera.find_lanes(ground, make_mapper(estimator, update_period_s))
         method = describe_method(estimator, update_period_s)
-    save_report(out, camera, lane_map, recording, method, true)
+    view = _view(image, camera.image_size) if image else None
+    save_report(out, camera, lane_map, recording, method, true, view)
     print_remarks(*camera.reports())
     console.print(f"{summary_sentence(lane_map.lanes)} Wrote {out}", soft_wrap=True)
+
+
+def _view(source: str, image_size: tuple[int, int]) -> NDArray[np.uint8]:
+    """The first image of a source.
+
+    Raises:
+        GeoOrbitError: There is none, or it has other proportions than the images of the boxes.
+    """
+    from geoorbit_ros.cli.images import ImageOptions, first_image, open_images
+    from geoorbit_ros.core.errors import ParameterError
+
+    with open_images(source, ImageOptions(duration_s=0.0)) as images:
+        view = first_image(images)
+    height, width = view.shape[:2]
+    if abs(width * image_size[1] / (height * image_size[0]) - 1.0) > MAX_STRETCH:
+        found = f"{source}, {width}x{height} pixels"
+        raise ParameterError(
+            "option --image", found, "the proportions of {}x{}".format(*image_size)
+        )
+    return view
 
 
 def save_report(
@@ -93,8 +124,9 @@ def save_report(
     recording: Recording,
     method: str,
     truth: Sequence[Lane] | None = None,
+    image: NDArray[np.uint8] | None = None,
 ) -> None:
-    """Write the page for lanes that are already known."""
+    """Write the page for lanes that are already known; `image` is the camera's view."""
     from geoorbit_ros.report.page import ReportInput, write_report
     from geoorbit_ros.report.recording import provenance
     from geoorbit_ros.storage.atomic import atomic_output
@@ -116,6 +148,7 @@ def save_report(
         made,
         truth,
         camera.reports(),
+        image,
     )
     with atomic_output(out) as path:
         write_report(path, content)

@@ -9,6 +9,7 @@ from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.camera_pose import recover_pose
 from geoorbit_ros.calibration.homography import Homography
@@ -48,6 +49,7 @@ class ReportInput:
         provenance: Names and values: how the map was made.
         truth: True lanes, when known.
         remarks: What was done with the inputs, and what speaks against them.
+        image: (H, W, 3) uint8 BGR, the camera's view; None: not known.
     """
 
     camera_id: str
@@ -58,6 +60,7 @@ class ReportInput:
     provenance: Sequence[tuple[str, str]]
     truth: Sequence[Lane] | None = None
     remarks: Sequence[InputReport] = ()
+    image: NDArray[np.uint8] | None = None
 
 
 def write_report(path: Path, content: ReportInput) -> None:
@@ -136,11 +139,23 @@ def _tiles(content: ReportInput) -> str:
 
 
 def _drawings(content: ReportInput) -> str:
-    lane_map = content.lane_map
-    if not lane_map.lanes:
-        return ""
     paths = content.recording.paths()
-    drawing, frame, drawn = map_view(lane_map, paths, content.truth or ())
+    parts = [_map(content, paths)] if content.lane_map.lanes else []
+    camera = image_view(
+        content.lane_map, paths, content.homography, content.image_size, content.image
+    )
+    caption = "The same lanes and paths, projected back into the image. Crosses: control points."
+    near_far = _range_m(content)
+    if near_far:
+        sees = f"Lanes are seen from {near_far[0]:.0f} to {near_far[1]:.0f} m from the camera."
+        caption = f"{sees} {caption}"
+    kind = "camera" if content.image is None else "camera photo"
+    parts.append(_section("The camera's view", _figure(camera.markup(), caption, kind)))
+    return "".join(parts)
+
+
+def _map(content: ReportInput, paths: Sequence[NDArray[np.float64]]) -> str:
+    drawing, frame, drawn = map_view(content.lane_map, paths, content.truth or ())
     shown = count(len(paths), "vehicle path")
     if drawn < len(paths):
         shown = f"{drawn} of {shown}"
@@ -153,24 +168,11 @@ def _drawings(content: ReportInput) -> str:
             f"Up and down the page, lengths are drawn {frame.stretch:.0f} times as large as from "
             "left to right."
         )
-    if len(lane_map.visible_m):
+    if len(content.lane_map.visible_m):
         caption.append("On the shaded ground, neighbouring lanes can be told apart.")
     if content.truth:
         caption.append("Thin lines are the true lanes.")
-    camera = image_view(lane_map, paths, content.homography, content.image_size)
-    near_far = _range_m(content)
-    sees = ""
-    if near_far:
-        sees = f"Lanes are seen from {near_far[0]:.0f} to {near_far[1]:.0f} m from the camera. "
-    return _section("Map", _figure(drawing.markup(), " ".join(caption), "map")) + _section(
-        "The camera's view",
-        _figure(
-            camera.markup(),
-            sees
-            + "The same lanes and paths, projected back into the image. Crosses: control points.",
-            "camera",
-        ),
-    )
+    return _section("Map", _figure(drawing.markup(), " ".join(caption), "map"))
 
 
 def _histograms(content: ReportInput) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from html import escape
 
 import numpy as np
@@ -36,6 +37,14 @@ class Canvas:
         points = points[np.isfinite(points).all(axis=1)]
         if len(points) > 2:
             self._parts.append(_shape("path", f'd="{path_data(points)}Z"', css, tip))
+
+    def image(self, jpeg: bytes) -> None:
+        """A JPEG file that fills the drawing."""
+        data = base64.b64encode(jpeg).decode("ascii")
+        self._parts.append(
+            f'<image width="{self.width:.1f}" height="{self.height:.1f}" '
+            f'preserveAspectRatio="none" href="data:image/jpeg;base64,{data}"/>'
+        )
 
     def text(self, x: float, y: float, text: str, css: str = "", anchor: str = "start") -> None:
         """Text with its baseline at `y`; anchor start, middle or end."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,6 +22,8 @@ from geoorbit_ros.report.text import compass
 
 IMAGE_WIDTH_PX = MAP_WIDTH_PX = SECTION_WIDTH_PX = 1040.0
 """Width of all drawings. Layout of the page."""
+JPEG_QUALITY = 75
+"""Of the camera's image. Chosen: larger makes the page larger, smaller blurs the paint."""
 MIN_HEIGHT_PX, MAX_HEIGHT_PX, SECTION_HEIGHT_PX = 260.0, 760.0, 220.0
 """Of the map and of a histogram. Layout of the page."""
 MAX_STRETCH = 4
@@ -43,8 +46,17 @@ def image_view(
     paths: Sequence[NDArray[np.float64]],
     homography: Homography,
     image_size: tuple[int, int],
+    background: NDArray[np.uint8] | None = None,
 ) -> Canvas:
-    """Draw what lies on the road over an empty image of the camera's size."""
+    """Draw what lies on the road over an image of the camera, an empty one where there is none.
+
+    Args:
+        lane_map: The lanes.
+        paths: Of the vehicles, in metres.
+        homography: The camera's calibration.
+        image_size: (width, height) in pixels.
+        background: (H, W, 3) uint8 BGR of any size with the same view; None: empty.
+    """
     scale = IMAGE_WIDTH_PX / image_size[0]
     size = np.array(image_size) * scale
     canvas = Canvas(size[0], size[1], "The camera's view with lanes and the paths of the vehicles")
@@ -56,6 +68,8 @@ def image_view(
     def inside(pixel: NDArray[np.float64]) -> NDArray[np.bool_]:
         return np.asarray(np.all((pixel > 14) & (pixel < size - 14), axis=1))
 
+    if background is not None:
+        canvas.image(_jpeg(background))
     canvas.open_clip("image-clip", 0, 0, size[0], size[1])
     _horizon(canvas, homography, scale, size)
     draw_paths(canvas, paths, to_pixel, lane_map.lanes, colour)
@@ -71,6 +85,14 @@ def image_view(
         )
     canvas.close()
     return canvas
+
+
+def _jpeg(image: NDArray[np.uint8]) -> bytes:
+    """The image as JPEG, no wider than it is shown."""
+    scale = min(IMAGE_WIDTH_PX / image.shape[1], 1.0)
+    smaller = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    _, data = cv2.imencode(".jpg", smaller, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    return data.tobytes()
 
 
 def _horizon(

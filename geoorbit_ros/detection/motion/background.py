@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 
 import cv2
@@ -30,6 +31,16 @@ trees, smaller finds the trees."""
 SURROUNDINGS = np.ones((5, 5), dtype=np.uint8)
 """The road is not learnt this close to a vehicle: edges are blurred by two pixels. Chosen: wider
 learns less road between vehicles."""
+SWAY_FACTOR = 1.5
+"""The road is known where it was at one moment of the sway, not in the middle of it. Chosen: at most
+2; larger hides small vehicles before a pattern."""
+MAX_SWAY_PX = 4
+"""A pixel is compared with the road as close to it as the camera sways, up to so many pixels and at
+least one: the edges of paint differ by all of their contrast. Chosen: farther hides small vehicles
+before a pattern."""
+NOISE = 5
+"""Grey levels by which noise exceeds that. Chosen: larger hides vehicles before a pattern, smaller
+finds the edges of paint in a noisy image."""
 FIRST_DEVIATION = 2.0
 """Mean absolute deviation, grey levels, of a pixel that is newly learnt: that of a camera by day.
 Chosen: smaller finds noise at first, larger misses dark vehicles at first."""
@@ -54,13 +65,14 @@ class RoadBackground:
 
     def __init__(self) -> None:
         self._samples = RoadSamples()
+        self._sway = np.ones((3, 3), dtype=np.uint8)
         self._reference = np.empty((0, 3), dtype=np.float32)
         self._followed_ns: list[int | None] = [None] * STRIPS
         self._mean = np.empty((0, 0, 3), dtype=np.float32)
         self._deviation = np.empty((0, 0), dtype=np.float32)
         self._road: Image = np.empty((0, 0, 3), dtype=np.uint8)
         self.image = self._road
-        self._contrast = self._difference = self._differs = self._road
+        self._contrast = self._darkest = self._lightest = self._road
 
     @property
     def ready(self) -> bool:
@@ -104,6 +116,14 @@ class RoadBackground:
         self._deviation[:] = FIRST_DEVIATION
         self._contrast[:] = MIN_CONTRAST
         self._reference = _grid(road)
+        self._spread(slice(0, len(self.image)))
+
+    def allow_sway(self, sway_px: float) -> None:
+        """Expect the camera to sway by so many pixels from now on."""
+        side = 2 * min(max(math.ceil(SWAY_FACTOR * sway_px), 1), MAX_SWAY_PX) + 1
+        if side != len(self._sway):
+            self._sway = np.ones((side, side), dtype=np.uint8)
+            self._spread(slice(0, len(self.image)))
 
     def moving(self, image: Image) -> NDArray[np.uint8]:
         """(H, W) 255 where the image differs from the road by more than noise, 0 elsewhere."""
@@ -111,11 +131,9 @@ class RoadBackground:
         if np.abs(gain - 1.0).max() > _MIN_GAIN_STEP:
             self._mean = np.minimum(self._mean * gain, np.float32(255.0))
             self._road[:] = cv2.convertScaleAbs(self._mean)
-        cv2.absdiff(image, self.image, dst=self._difference)
-        cv2.compare(self._difference, self._contrast, cv2.CMP_GT, dst=self._differs)
-        some = cv2.cvtColor(self._differs, cv2.COLOR_BGR2GRAY)
-        cv2.threshold(some, 0, 255, cv2.THRESH_BINARY, dst=some)
-        return np.asarray(some, dtype=np.uint8)
+            self._spread(slice(0, len(self.image)))
+        like_road = cv2.inRange(image, self._darkest, self._lightest)
+        return np.asarray(cv2.bitwise_not(like_road), dtype=np.uint8)
 
     def follow(self, stamp_ns: int, image: Image, moving: NDArray[np.uint8]) -> None:
         """Let the road follow the light where nothing moves; call `moving` before this."""
@@ -141,12 +159,27 @@ class RoadBackground:
         mean, deviation = self._mean[rows, columns], self._deviation[rows, columns]
         cv2.accumulateWeighted(image[rows], mean, share, free)
         # What differs more is a vehicle that was missed, not noise.
-        noise = np.minimum(_channel_max(self._difference[rows]), MIN_CONTRAST)
+        difference = np.asarray(cv2.absdiff(image[rows], self.image[rows]), dtype=np.uint8)
+        noise = np.minimum(_channel_max(difference), MIN_CONTRAST)
         cv2.accumulateWeighted(noise, deviation, share, free)
         wanted = cv2.convertScaleAbs(deviation, alpha=NOISE_FACTOR)
         contrast = np.clip(np.asarray(wanted, np.uint8), MIN_CONTRAST, MAX_CONTRAST)
         cv2.merge([contrast] * 3, dst=self._contrast[rows])
         cv2.convertScaleAbs(mean, dst=self.image[rows])
+        self._spread(rows)
+
+    def _spread(self, rows: slice) -> None:
+        """The darkest and the lightest that some rows of the road may look without a vehicle."""
+        beyond = len(self._sway) // 2
+        first, last = max(rows.start - beyond, 0), rows.stop + beyond
+        inner = slice(rows.start - first, rows.stop - first)
+        around, contrast = self.image[first:last], self._contrast[first:last]
+        noise = np.full_like(around, NOISE)
+        swayed_dark = cv2.subtract(cv2.erode(around, self._sway), noise)
+        swayed_light = cv2.add(cv2.dilate(around, self._sway), noise)
+        darkest = cv2.min(cv2.subtract(around, contrast), swayed_dark)
+        lightest = cv2.max(cv2.add(around, contrast), swayed_light)
+        self._darkest[rows], self._lightest[rows] = darkest[inner], lightest[inner]
 
     def _correct(self, usual: UsualCells) -> None:
         light = _ratio(_grid(self.image), self._reference)
@@ -169,8 +202,7 @@ class RoadBackground:
         self._road = np.zeros((*whole, 3), dtype=np.uint8)
         self.image = self._road[: size[0], : size[1]]
         self._contrast = np.zeros((*size, 3), dtype=np.uint8)
-        self._difference = np.zeros((*size, 3), dtype=np.uint8)
-        self._differs = np.zeros((*size, 3), dtype=np.uint8)
+        self._darkest, self._lightest = np.zeros_like(self._contrast), self._contrast.copy()
 
 
 def _grid(image: NDArray[np.generic]) -> NDArray[np.float32]:

@@ -13,9 +13,10 @@ from geoorbit_ros.core.plugins import register
 from geoorbit_ros.core.tables import CAR, MOTORCYCLE, TRUCK
 from geoorbit_ros.detection.detector import DetectorSettings, Image, as_bgr, detection_rows
 from geoorbit_ros.detection.motion.background import RoadBackground
-from geoorbit_ros.detection.motion.blobs import Vehicle, busy_rows, find_vehicles
+from geoorbit_ros.detection.motion.blobs import Vehicle, busy_rows, find_vehicles, touches_border
 from geoorbit_ros.detection.motion.road_axes import RoadAxes
 from geoorbit_ros.detection.motion.shadows import ShadowModel
+from geoorbit_ros.detection.motion.trajectories import Trajectories
 from geoorbit_ros.detection.motion.vehicle_shapes import VehicleOutlines, VehicleSizes
 from geoorbit_ros.detection.motion.view_watch import ViewWatch
 
@@ -45,6 +46,9 @@ flash of light."""
 TRUCK_AREA = 2.2
 """A box of more than this many cars' area is a truck. Chosen: larger calls trucks cars, smaller
 calls vans trucks."""
+MIN_CLASS_PX = 8.0
+"""Where a car is less high, everything is called a car: its size is known to a pixel or two.
+Chosen: larger tells fewer apart, smaller calls far cars trucks."""
 MOTORCYCLE_WIDTH = 0.5
 """A box narrower than this many cars is a motorcycle. Chosen: about 0.8 m over 1.8 m, and a
 margin."""
@@ -99,6 +103,7 @@ class MotionDetector:
     def _forget(self) -> None:
         self._road, self._shadows, self._sizes = RoadBackground(), ShadowModel(), VehicleSizes()
         self._watch, self._outlines, self._axes = ViewWatch(), VehicleOutlines(), RoadAxes()
+        self._trajectories = Trajectories()
         self._frames = self._changed = 0
         self._learnt_ns: int | None = None
 
@@ -117,19 +122,26 @@ class MotionDetector:
         solid = self._shadows.remove(image[rows], road[rows], moving[rows])
         cv2.medianBlur(solid, 3, dst=vehicle[rows])
         vehicles = find_vehicles(moving, vehicle, self._sizes, self._outlines, self._axes)
-        whole = [vehicle.box for vehicle in vehicles if vehicle.whole]
-        self._axes.add(stamp_ns, whole)
-        self._sizes.add(np.array(whole, dtype=np.float64).reshape(-1, 4))
+        inside = [v for v in vehicles if not touches_border(v.box, image.shape)]
+        boxes, isolated = [v.box for v in inside], [v.whole for v in inside]
+        travelled = self._trajectories.add(stamp_ns, boxes, isolated)
+        self._axes.add(travelled)
+        self._sizes.add(travelled.boxes[travelled.isolated])
         if self._frames % LEARN_FRAMES == 0:
             self._sizes.learn()
         self._frames += 1
-        return vehicles
+        return [
+            vehicle
+            for vehicle in vehicles
+            if self._axes.on_road(vehicle.box) or self._trajectories.follows(stamp_ns, vehicle.box)
+        ]
 
     def _is_other_road(
         self, stamp_ns: int, image: Image, road: Image, moving: NDArray[np.uint8]
     ) -> bool:
         """Whether the image shows another road than the known one; then it is learnt anew."""
         shift = self._watch.shift(stamp_ns, image, road)
+        self._road.allow_sway(self._watch.sway_px)
         if shift is not None:
             self.relearned += 1
             self._road.move(shift)
@@ -161,8 +173,9 @@ class MotionDetector:
         if self._sizes.known and len(boxes):
             car = self._sizes.at(0.5 * (boxes[:, 0] + boxes[:, 2]), boxes[:, 3])
             share = (boxes[:, 2:] - boxes[:, :2]) / car
-            classes[share.prod(axis=1) > TRUCK_AREA] = TRUCK
-            classes[share[:, 0] < MOTORCYCLE_WIDTH] = MOTORCYCLE
+            clear = car[:, 1] >= MIN_CLASS_PX
+            classes[clear & (share.prod(axis=1) > TRUCK_AREA)] = TRUCK
+            classes[clear & (share[:, 0] < MOTORCYCLE_WIDTH)] = MOTORCYCLE
         return classes
 
 

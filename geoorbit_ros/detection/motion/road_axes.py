@@ -1,37 +1,39 @@
-"""Which way the road runs in the image at each place, learnt from vehicles that drive along it."""
+"""Where vehicles drive in the image, and which way the road runs there."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.detection.motion.trajectories import Travelled, feet
 from geoorbit_ros.detection.motion.vehicle_shapes import Box
 
-STEP_S = 0.1
-"""Time after which vehicles are compared with where they were. Chosen: by then far ones have moved,
-too; after longer a vehicle may be taken for another."""
-LONGEST_S = 0.5
-"""After a longer pause nothing is compared. Chosen: a vehicle at 30 m/s is 15 m farther by then."""
-MOST_STEP = 1.0
-"""A vehicle moves at most so many diagonals of its box in between; farther off is another one.
-Chosen: larger pairs neighbours, smaller needs more frames per second."""
-LEAST_STEP_PX = 2.0
-"""Shorter steps have no direction. Chosen: edges are found to half a pixel."""
-ALIKE = 0.2
-"""Boxes of one vehicle are this equal in width and height, as a natural logarithm. Chosen: larger
-pairs neighbours, smaller misses vehicles that turn."""
 MEMORY = 1200
-"""Steps that are remembered, the latest. Chosen: more take time, fewer forget quiet places."""
+"""Places that are remembered with their direction, the latest. Chosen: more take time, fewer forget
+quiet places."""
 NEAREST = 15
-"""So many steps nearest to a place give the direction there. Chosen: more look farther around,
+"""So many places nearest to one give the direction there. Chosen: more look farther around,
 fewer are noisier."""
 AGREED = 0.9
-"""Least agreement of these steps, as the length of their mean direction, 1 if all are parallel.
+"""Least agreement of these directions, as the length of their mean, 1 if all are parallel.
 Chosen: larger has no direction in bends, smaller has one in junctions."""
+CELL_PX = 8
+"""Where vehicles drove is kept in cells of so many pixels. Chosen: larger takes in the verge,
+smaller has gaps where few drove."""
+FOOT_SHARE = 0.5
+"""The lower part of a box that stands on the road. Chosen: larger takes in what the box hides,
+smaller has gaps where few drove."""
+CLUTTER = 10.0
+"""Where fewer boxes were seen that did not travel, vehicles may be. Chosen: boxes are followed ten
+times a second; larger admits leaves for longer, smaller knows too little."""
+DRIVEN = 1.0
+"""Where so many boxes of vehicles that travelled were seen, on average over a box's lower part,
+there is a road: vehicles may stand there, too. Chosen: one vehicle gives about eight; larger needs
+more of them, smaller takes the verge for road."""
 
 
 class RoadAxes:
-    """The direction of the road at each place, from how single vehicles moved there.
+    """Learns from vehicles that have travelled.
 
     Traffic either way counts the same: the direction is that of a line.
     """
@@ -40,18 +42,20 @@ class RoadAxes:
         self._places = np.empty((MEMORY, 2))
         self._turns = np.empty(MEMORY, dtype=np.complex128)  # direction squared: of a line
         self._count = 0
-        self._last = np.empty((0, 4))
-        self._last_ns: int | None = None
+        self._driven = np.zeros((0, 0), dtype=np.float32)
+        self._clutter = np.zeros((0, 0), dtype=np.float32)
 
-    def add(self, stamp_ns: int, boxes: list[Box]) -> None:
-        """Note boxes left, top, right, bottom of single vehicles in an image."""
-        elapsed_s = np.inf if self._last_ns is None else (stamp_ns - self._last_ns) / 1e9
-        if 0.0 <= elapsed_s < STEP_S:
-            return
-        now = np.array(boxes, dtype=np.float64).reshape(-1, 4)
-        if 0.0 <= elapsed_s <= LONGEST_S:
-            self._pair(now)
-        self._last, self._last_ns = now, stamp_ns
+    def add(self, travelled: Travelled) -> None:
+        """Note where vehicles travelled, in which direction, and where something only moved."""
+        alone = travelled.isolated
+        places, directions = feet(travelled.boxes[alone]), travelled.direction[alone]
+        for place, direction in zip(places, directions, strict=True):
+            at = self._count % MEMORY
+            self._places[at] = place
+            self._turns[at] = complex(*direction) ** 2
+            self._count += 1
+        self._driven = _counted(self._driven, travelled.boxes)
+        self._clutter = _counted(self._clutter, travelled.stayed)
 
     def at(self, x: float, bottom: float) -> tuple[float, float] | None:
         """Unit vector (right, down) along the road, upwards in the image; None where unknown."""
@@ -68,28 +72,30 @@ class RoadAxes:
             along = -along
         return float(along.real), float(along.imag)
 
-    def _pair(self, now: NDArray[np.float64]) -> None:
-        """Remember the steps of vehicles that are nearest to each other, and alike."""
-        then = self._last
-        if not len(now) or not len(then):
-            return
-        size, size_then = now[:, 2:] - now[:, :2], then[:, 2:] - then[:, :2]
-        foot, foot_then = _feet(now), _feet(then)
-        apart = np.linalg.norm(foot[:, None] - foot_then[None, :], axis=2)
-        near = apart.argmin(axis=1)
-        k = np.arange(len(now))
-        step = apart[k, near]
-        alike = np.abs(np.log(size / size_then[near])).max(axis=1) < ALIKE
-        held = alike & (apart.argmin(axis=0)[near] == k)
-        held &= (step >= LEAST_STEP_PX) & (step < MOST_STEP * np.linalg.norm(size, axis=1))
-        for i in np.flatnonzero(held):
-            move = foot[i] - foot_then[near[i]]
-            at = self._count % MEMORY
-            self._places[at] = 0.5 * (foot[i] + foot_then[near[i]])
-            self._turns[at] = (complex(*move) / step[i]) ** 2
-            self._count += 1
+    def on_road(self, box: Box) -> bool:
+        """Whether a vehicle may be where a box stands: not where things move and never travel."""
+        foot = _cells(np.array(box, dtype=np.float64))
+        clutter = self._clutter[foot]
+        if not clutter.size or clutter.mean() < CLUTTER:
+            return True
+        driven = self._driven[foot]
+        return bool(driven.size and driven.mean() >= DRIVEN)
 
 
-def _feet(boxes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(N, 2) middle of the lower edge."""
-    return np.column_stack([0.5 * (boxes[:, 0] + boxes[:, 2]), boxes[:, 3]])
+def _counted(cells: NDArray[np.float32], boxes: NDArray[np.float64]) -> NDArray[np.float32]:
+    """The cells, larger if need be, with one added wherever one of the boxes (N, 4) stands."""
+    for rows, columns in map(_cells, boxes):
+        height, width = cells.shape
+        if rows.stop > height or columns.stop > width:
+            more = ((0, max(rows.stop - height, 0)), (0, max(columns.stop - width, 0)))
+            cells = np.pad(cells, more)
+        cells[rows, columns] += 1.0
+    return cells
+
+
+def _cells(box: NDArray[np.float64]) -> tuple[slice, slice]:
+    """Rows and columns of the cells that the lower part of a box covers."""
+    left, top, right, bottom = np.maximum(box, 0.0)
+    first = bottom - FOOT_SHARE * (bottom - top)
+    row, column = int(first // CELL_PX), int(left // CELL_PX)
+    return slice(row, int(bottom // CELL_PX) + 1), slice(column, int(right // CELL_PX) + 1)

@@ -15,8 +15,9 @@ Box = tuple[int, int, int, int]
 MEMORY_BOXES = 4000
 """Boxes that sizes are learnt from, the latest. Chosen: more take time, fewer forget quiet
 places."""
-MIN_BOXES = 120
-"""Boxes from which sizes are known. Chosen: more learn later, fewer learn from single lorries."""
+MIN_BOXES = 40
+"""Boxes from which sizes are known, those of some five vehicles that travelled. Chosen: more learn
+later, fewer learn from single lorries."""
 TRIES = 150
 """Random pairs tried for the line of heights: with a third of the boxes cars, the chance that none
 of the pairs is two cars is below 1e-6 (Fischler and Bolles 1981)."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -26,10 +28,23 @@ MIN_RESPONSE = 0.15
 images, smaller finds shifts in images that have nothing in common."""
 
 
+SWAY_SHARE = 0.75
+"""The image sways by as much as this share of the latest shifts. Chosen: larger takes one wrong
+shift for sway, smaller underrates it: most of a swing is spent near its ends."""
+SWAY_LOOKS = 12
+"""Shifts that tell the sway, of some five seconds. Chosen: more react to wind later."""
+
+
 class ViewWatch:
-    """Measures how far the image has moved against the road, a few times a second."""
+    """Measures how far the image has moved against the road, a few times a second.
+
+    Attributes:
+        sway_px: By how many pixels the image moves to and fro.
+    """
 
     def __init__(self) -> None:
+        self.sway_px = 0.0
+        self._latest: deque[float] = deque(maxlen=SWAY_LOOKS)
         self._looked_ns: int | None = None
         self._shifts: list[NDArray[np.float64]] = []
         self._window: NDArray[np.float32] | None = None
@@ -53,6 +68,9 @@ class ViewWatch:
             self._window = np.asarray(cv2.createHanningWindow(size, cv2.CV_32F), np.float32)
         offset, response = cv2.phaseCorrelate(then, now, self._window)
         found = np.array(offset, dtype=np.float64)
+        if response >= MIN_RESPONSE:
+            self._latest.append(float(np.hypot(*found)) * step)
+            self.sway_px = float(np.quantile(self._latest, SWAY_SHARE))
         if response < MIN_RESPONSE or np.hypot(*found) < MIN_SHIFT:
             self._shifts.clear()
             return None

@@ -1,5 +1,6 @@
 """`geoorbit process`: everything from images, or one sentence and nothing."""
 
+import json
 from pathlib import Path
 
 import cv2
@@ -57,20 +58,34 @@ def test_strictly_taken_frames_that_change_size_end_it(
     assert "2.jpg: found a frame of 1280x720 pixels, expected 1920x1080 as before" in sentence
 
 
+def empty(capsys: pytest.CaptureFixture[str], camera: CameraFiles, out: Path, images: Path) -> str:
+    """What the command says of images without traffic; all files are there nevertheless."""
+    words = ["process", str(images), "--fps", "10", "--out", str(out), "--calibration"]
+    assert main([*words, str(camera.calibration)]) == 0
+    assert {file.name for file in out.iterdir()} == {
+        *("detections.txt", "tracks.txt", "tracks.csv", "lanes.geojson", "report.html"),
+    }
+    assert json.loads((out / "lanes.geojson").read_text())["features"] == []
+    assert "data:image/jpeg" in (out / "report.html").read_text()
+    said = " ".join(capsys.readouterr().out.split())
+    assert "0 lanes confirmed" in said
+    return said
+
+
 def test_control_points_of_a_larger_image_are_told(
     capsys: pytest.CaptureFixture[str], camera: CameraFiles, tmp_path: Path
 ) -> None:
     images = write_images(tmp_path / "images", [(160, 120)])
-    sentence = refused(capsys, camera, tmp_path / "out", str(images), "--fps", "10")
-    assert "the image is 160x120, but the control points reach pixel" in sentence
+    said = empty(capsys, camera, tmp_path / "out", images)
+    assert "the image is 160x120, but the control points reach pixel" in said
 
 
-def test_an_empty_road_has_no_lanes(
+def test_an_empty_road_has_no_lanes_and_its_files(
     capsys: pytest.CaptureFixture[str], camera: CameraFiles, tmp_path: Path
 ) -> None:
     images = write_images(tmp_path / "images", [IMAGE_SIZE] * 3)
-    sentence = refused(capsys, camera, tmp_path / "out", str(images), "--fps", "10")
-    assert "expected vehicles driving by" in sentence
+    said = empty(capsys, camera, tmp_path / "out", images)
+    assert "no lane: 3 frames without a vehicle on the road" in said
 
 
 def test_a_stream_needs_a_duration_and_is_given_up_in_one_sentence(

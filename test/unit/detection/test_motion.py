@@ -111,13 +111,41 @@ def test_a_vehicle_that_stops_is_seen_for_half_a_minute() -> None:
     detector, road = MotionDetector(), small(empty_road())
     for k in range(36):
         detector.detect(round((1.0 + 3.2 * k) * 1e9), noisy(road, k))
-    parked = road.copy()
-    parked[200:240, 300:360] = (30, 30, 200)
-    rows = [detector.detect(round((117.0 + k) * 1e9), noisy(parked, k)) for k in range(28)]
+    rows = []
+    for k in range(300):  # drives in, and stands from x = 330 on
+        image, left = road.copy(), min(40 + 13 * k, 300)
+        image[200:240, left : left + 60] = (30, 30, 200)
+        rows.append(detector.detect(round((117.0 + 0.1 * k) * 1e9), noisy(image, k)))
     assert min(len(table) for table in rows) >= 1
     assert rows[-1]["x"][0] == pytest.approx(330, abs=2)
     # The shadow model takes nothing from it, the darkness that it expects beneath is 3.5 %.
     assert rows[-1]["y"][0] == pytest.approx(220, abs=2)
+
+
+@pytest.mark.parametrize("sway_px", [0.5, 1.0])
+def test_a_camera_that_sways_finds_nothing_on_an_empty_road(sway_px: float) -> None:
+    """Edges of paint then differ by all of their contrast."""
+    detector, road = MotionDetector(), empty_road()[60:480, 100:860]
+    cv2.line(road, (80, 400), (700, 60), (255, 255, 255), 4)
+    cv2.line(road, (200, 400), (720, 60), (20, 20, 20), 6)
+    found = []
+    for k in range(160):
+        at = sway_px * np.sin(0.9 * k), sway_px * np.cos(0.7 * k)
+        matrix = np.array([[1.0, 0.0, at[0]], [0.0, 1.0, at[1]]])
+        image = cv2.warpAffine(road, matrix, (760, 420), borderMode=cv2.BORDER_REPLICATE)
+        found.append(len(detector.detect(round(1e9 + 1e8 * k), noisy(np.asarray(image), k))))
+    assert sum(found[80:]) <= 2, found
+
+
+def test_what_sways_beside_the_road_is_no_vehicle() -> None:
+    detector, road = MotionDetector(), small(empty_road())
+    found = []
+    for k in range(300):
+        image, x = road.copy(), 300 + round(9.0 * np.sin(0.6 * k))
+        if k >= 20:
+            image[60:84, x : x + 30] = (30, 90, 40)
+        found.append(len(detector.detect(round(1e9 + 1e8 * k), noisy(image, k))))
+    assert sum(found[100:]) == 0
 
 
 def test_grey_and_alpha_images_are_taken_and_deep_ones_refused() -> None:

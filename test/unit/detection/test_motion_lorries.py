@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.detection.motion.blobs import find_vehicles
 from geoorbit_ros.detection.motion.road_axes import RoadAxes
+from geoorbit_ros.detection.motion.trajectories import Trajectories
 from geoorbit_ros.detection.motion.vehicle_shapes import Box, VehicleOutlines, VehicleSizes
 
 SIZE = (1280, 720)
@@ -72,13 +73,14 @@ def box_of(mask: NDArray[np.uint8]) -> Box:
 def learnt(camera: Camera) -> tuple[VehicleSizes, VehicleOutlines, RoadAxes]:
     """What cars that drove past one by one taught."""
     sizes, outlines, axes = VehicleSizes(), VehicleOutlines(), RoadAxes()
+    trajectories = Trajectories()
     stamp_ns = 0
     for lane in (-2, -1, 0, 1, 2):
         for along_m in np.arange(-14.0, 50.0, 1.5).tolist():
             stamp_ns += 150_000_000
             mask = camera.mask(along_m, lane, CAR)
             box = box_of(mask)
-            axes.add(stamp_ns, [box])
+            axes.add(trajectories.add(stamp_ns, [box], [True]))
             sizes.add(np.array([box], dtype=np.float64))
             outlines.add((mask > 0).astype(np.uint8), box, (0, 0))
         stamp_ns += 10_000_000_000

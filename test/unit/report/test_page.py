@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import base64
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -137,6 +139,26 @@ def test_the_page_says_what_it_was_given(page: str) -> None:
     assert "12 of 12 control points used" in page
     assert page.count("<h3>Towards E, 90°: 2 peaks</h3>") == 1
     assert "3.40 m" in page  # the distance between the two peaks
+
+
+def test_lanes_lie_over_the_camera_s_image_which_is_in_the_page() -> None:
+    view = np.full((540, 960, 3), (40, 90, 160), np.uint8)
+    page = report_html(replace(content(), image=view))
+    shown = re.findall(r'href="data:image/jpeg;base64,([^"]+)"', page)
+    assert len(shown) == 1
+    image = cv2.imdecode(np.frombuffer(base64.b64decode(shown[0]), np.uint8), cv2.IMREAD_COLOR)
+    assert image is not None
+    assert image.shape == view.shape
+    assert np.abs(image.astype(int) - view).max() < 8
+    assert page.index("data:image/jpeg") < page.index('id="image-clip"')
+
+
+def test_without_lanes_the_image_and_the_paths_are_there() -> None:
+    nothing = replace(content(), lane_map=LaneMap(7_900_000_000, ()), truth=None)
+    page = report_html(nothing)
+    assert "0 lanes confirmed." in page
+    assert 'id="image-clip"' in page
+    assert 'class="path"' in page
 
 
 def test_the_same_input_gives_the_same_page(page: str) -> None:
