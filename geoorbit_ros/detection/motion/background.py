@@ -32,8 +32,8 @@ SURROUNDINGS = np.ones((5, 5), dtype=np.uint8)
 """The road is not learnt this close to a vehicle: edges are blurred by two pixels. Chosen: wider
 learns less road between vehicles."""
 SWAY_FACTOR = 1.5
-"""The road is known where it was at one moment of the sway, not in the middle of it. Chosen: at most
-2; larger hides small vehicles before a pattern."""
+"""The road is known where it was at one moment of the sway, not in the middle of it. Chosen: at
+most 2; larger hides small vehicles before a pattern."""
 MAX_SWAY_PX = 4
 """A pixel is compared with the road as close to it as the camera sways, up to so many pixels and at
 least one: the edges of paint differ by all of their contrast. Chosen: farther hides small vehicles
