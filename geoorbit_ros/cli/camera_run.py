@@ -23,6 +23,8 @@ from geoorbit_ros.core.errors import NoTrafficError
 from geoorbit_ros.core.input_report import InputReport, Treatment
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.core.tables import FLAG_PREDICTED, PIXEL_TRACK_DTYPE, Frames
+from geoorbit_ros.detection.detector import doubt_of
+from geoorbit_ros.lanes.confidence import unconfirmed
 from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.lanes.geojson import write_lanes
 from geoorbit_ros.lanes.mapping.mapper import DEFAULT_UPDATE_PERIOD_S, LaneMapper
@@ -204,6 +206,8 @@ class CameraJob:
             if not run.seen:
                 raise
             self.lane_map, self.nothing = LaneMap(run.seen[-1][0], ()), str(error.found)
+        if doubt_of(self.detection.detector):
+            self.lane_map = unconfirmed(self.lane_map)
         check_images(images, self.detection.left_out, len(self.run.seen))
 
     def write(self, folder: Path, images: FrameSource) -> None:
@@ -221,6 +225,8 @@ class CameraJob:
         note_other_classes(remarks, frames)
         for sentence in images.remarks.sentences():
             remarks.note(Treatment.NOTED, sentence)
+        if doubt := doubt_of(self.detection.detector):
+            remarks.note(Treatment.DOUBTFUL, doubt)
         if self.nothing:
             remarks.note(Treatment.NOTED, f"no lane: {self.nothing}")
         projector = self.run.projector

@@ -137,6 +137,20 @@ class HasRemarks(Protocol):
     remarks: tuple[str, ...]
 
 
+@runtime_checkable
+class HasDoubt(Protocol):
+    """A detector that notices when its boxes may be wrong."""
+
+    @property
+    def doubt(self) -> str:
+        """Why, in one sentence; empty while nothing says so."""
+
+
+def doubt_of(detector: Detector) -> str:
+    """Why the boxes of a detector may be wrong; empty where nothing says so."""
+    return detector.doubt if isinstance(detector, HasDoubt) else ""
+
+
 def without_effect(detector: Detector, settings: DetectorSettings) -> str | None:
     """A sentence about settings that a plug-in does not take; None: there are none."""
     if not settings.class_names or isinstance(detector, plugins.TakesSettings):

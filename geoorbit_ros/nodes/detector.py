@@ -17,6 +17,7 @@ from geoorbit_ros.conversions import encode_table, pixel_polygon
 from geoorbit_ros.detection.detector import (
     Detector,
     DetectorSettings,
+    doubt_of,
     make_detector,
     remarks_on,
 )
@@ -74,6 +75,7 @@ class DetectorNode(GeoOrbitNode[DetectorParameters]):
         self._found = 0
         self.stream = ImageStream(self, p, self._on_image, self._on_restart)
         self.diagnostics.add_check(self._fault)
+        self.diagnostics.add_check(lambda: doubt_of(self._detector) or None)
 
     def diagnostic_values(self) -> Mapping[str, object]:
         """What detects, and what became of images and boxes."""

@@ -49,6 +49,14 @@ calls vans trucks."""
 MIN_CLASS_PX = 8.0
 """Where a car is less high, everything is called a car: its size is known to a pixel or two.
 Chosen: larger tells fewer apart, smaller calls far cars trucks."""
+MOST_COVERED = 0.3
+"""Share of the road that may be covered in the mean. Chosen: in a real film with 0.23 half of the
+vehicles are found; larger tells it later, smaller doubts busy roads seen from high up."""
+COVERED_TIME_S = 20.0
+"""Time over which that is taken. Chosen: longer than a platoon, shorter than a red light."""
+DOUBTFUL_BOXES = 2000
+"""After so many boxes sizes should be known. Chosen: a minute of five vehicles in each image;
+larger tells it later, smaller doubts quiet roads."""
 MOTORCYCLE_WIDTH = 0.5
 """A box narrower than this many cars is a motorcycle. Chosen: about 0.8 m over 1.8 m, and a
 margin."""
@@ -87,6 +95,17 @@ class MotionDetector:
             self.detect(stamp_ns, image)
         self._road.rewind()
 
+    @property
+    def doubt(self) -> str:
+        """Why its boxes may be wrong, in one sentence; empty while nothing says so."""
+        if self._covered > MOST_COVERED and self._watched_s >= COVERED_TIME_S:
+            share = f"{100 * self._covered:.0f} % of the road is covered by vehicles"
+            return f"{share}: the motion detector can't tell them apart, a YOLO model can (--model)"
+        if not self._sizes.known and self._found >= DOUBTFUL_BOXES:
+            unknown = f"no size of vehicles is known after {self._found} boxes"
+            return f"{unknown}: hardly one drove by itself, boxes are rough, a YOLO model is better"
+        return ""
+
     def detect(self, stamp_ns: int, image: NDArray[np.generic]) -> NDArray[np.void]:
         """See `Detector`."""
         whole = as_bgr(image)
@@ -98,6 +117,7 @@ class MotionDetector:
         smaller = whole if scale == 1.0 else _resized(whole, scale)
         self._road.sample(stamp_ns, smaller)
         vehicles = self._vehicles(stamp_ns, smaller) if self._road.ready else []
+        self._found += len(vehicles)
         return self._rows(vehicles, scale, size)
 
     def _forget(self) -> None:
@@ -106,6 +126,9 @@ class MotionDetector:
         self._trajectories = Trajectories()
         self._frames = self._changed = 0
         self._learnt_ns: int | None = None
+        self._covered_ns: int | None = None
+        self._covered = self._watched_s = 0.0
+        self._found = 0
 
     def _vehicles(self, stamp_ns: int, image: Image) -> list[Vehicle]:
         moving = self._road.moving(image)
@@ -130,11 +153,22 @@ class MotionDetector:
         if self._frames % LEARN_FRAMES == 0:
             self._sizes.learn()
         self._frames += 1
+        if self._frames % LEARN_FRAMES == 0:
+            self._note_cover(stamp_ns, moving)
         return [
             vehicle
             for vehicle in vehicles
             if self._axes.on_road(vehicle.box) or self._trajectories.follows(stamp_ns, vehicle.box)
         ]
+
+    def _note_cover(self, stamp_ns: int, moving: NDArray[np.uint8]) -> None:
+        share = self._axes.covered_share(moving)
+        last_ns, self._covered_ns = self._covered_ns, stamp_ns
+        if np.isfinite(share) and last_ns is not None:
+            elapsed_s = max((stamp_ns - last_ns) / 1e9, 0.0)
+            self._watched_s += elapsed_s
+            time_s = min(self._watched_s, COVERED_TIME_S)
+            self._covered += min(elapsed_s / max(time_s, 1e-9), 1.0) * (share - self._covered)
 
     def _is_other_road(
         self, stamp_ns: int, image: Image, road: Image, moving: NDArray[np.uint8]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,6 +27,8 @@ smaller has gaps where few drove."""
 CLUTTER = 10.0
 """Where fewer boxes were seen that did not travel, vehicles may be. Chosen: boxes are followed ten
 times a second; larger admits leaves for longer, smaller knows too little."""
+MIN_ROAD_CELLS = 40
+"""Of a smaller road it is not told how much is covered. Chosen: smaller, one vehicle covers it."""
 DRIVEN = 1.0
 """Where so many boxes of vehicles that travelled were seen, on average over a box's lower part,
 there is a road: vehicles may stand there, too. Chosen: one vehicle gives about eight; larger needs
@@ -80,6 +83,16 @@ class RoadAxes:
             return True
         driven = self._driven[foot]
         return bool(driven.size and driven.mean() >= DRIVEN)
+
+    def covered_share(self, moving: NDArray[np.uint8]) -> float:
+        """Share of the road that moving pixels (H, W) cover; NaN while the road is not known."""
+        road = self._driven >= DRIVEN
+        if np.count_nonzero(road) < MIN_ROAD_CELLS:
+            return float("nan")
+        size = (-(-moving.shape[1] // CELL_PX), -(-moving.shape[0] // CELL_PX))
+        covered = np.asarray(cv2.resize(moving, size, interpolation=cv2.INTER_AREA)) > 127
+        rows, columns = (min(a, b) for a, b in zip(road.shape, covered.shape, strict=True))
+        return float(covered[:rows, :columns][road[:rows, :columns]].mean())
 
 
 def _counted(cells: NDArray[np.float32], boxes: NDArray[np.float64]) -> NDArray[np.float32]:

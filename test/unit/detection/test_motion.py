@@ -148,6 +148,21 @@ def test_what_sways_beside_the_road_is_no_vehicle() -> None:
     assert sum(found[100:]) == 0
 
 
+def test_boxes_of_what_never_travels_are_doubted() -> None:
+    """Snow, a flock of birds, headlights on a wet road: there is much, and no vehicle in it."""
+    detector, road = MotionDetector(), small(empty_road())
+    places = np.random.default_rng(4).integers((10, 10), (600, 330), (160, 25, 2))
+    for k, spots in enumerate(places):
+        image = road.copy()
+        for x, y in spots if k >= 15 else ():
+            image[y : y + 14, x : x + 18] = 255
+        detector.detect(round(1e9 + 1e8 * k), image)
+        if k == 20:
+            assert detector.doubt == "", "a few boxes are no doubt"
+    assert "no size of vehicles is known after" in detector.doubt
+    assert warmed_up()[0].doubt == ""
+
+
 def test_grey_and_alpha_images_are_taken_and_deep_ones_refused() -> None:
     road = small(empty_road())
     for convert in (cv2.COLOR_BGR2GRAY, cv2.COLOR_BGR2BGRA):

@@ -113,6 +113,19 @@ def test_where_things_move_and_never_travel_is_no_road() -> None:
     assert road.axes.on_road(leaves), "a vehicle has travelled there"
 
 
+def test_the_covered_share_of_the_road_is_that_of_where_vehicles_drove() -> None:
+    road = Road()
+    moving = np.zeros((400, 800), np.uint8)
+    assert np.isnan(road.axes.covered_share(moving)), "no road is known"
+    for bottom in (300.0, 324.0):
+        road.drive((10.0, 0.0), (100.0, bottom), images=60)
+    assert road.axes.covered_share(moving) == 0.0
+    moving[:, :400] = 255
+    assert road.axes.covered_share(moving) == pytest.approx(0.5, abs=0.05)
+    moving[:200] = 255
+    assert road.axes.covered_share(moving) == pytest.approx(0.5, abs=0.05), "beside the road"
+
+
 def test_a_queue_does_not_make_its_road_clutter() -> None:
     road = Road()
     road.drive((10.0, 0.0))
