@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
@@ -24,6 +23,7 @@ from geoorbit_ros.core.input_report import InputReport, Treatment
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.core.tables import FLAG_PREDICTED, PIXEL_TRACK_DTYPE, Frames
 from geoorbit_ros.detection.detector import doubt_of
+from geoorbit_ros.detection.view_watch import PERIOD_S, ViewChanges
 from geoorbit_ros.lanes.confidence import unconfirmed
 from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.lanes.geojson import write_lanes
@@ -84,7 +84,8 @@ class CameraRun:
         image_size: (width, height) of the images, (0, 0) before the first.
         projector: From boxes to the road; None before the first image.
         seen: Stamp, detections and tracks of every image so far.
-        clearest: The image with the fewest vehicles, for the report.
+        pictures: Of each view the image with the fewest vehicles, for the report.
+        views: Notices when the camera shows another view.
     """
 
     homography: Homography
@@ -93,7 +94,8 @@ class CameraRun:
     image_size: tuple[int, int] = (0, 0)
     projector: BoxProjector | None = None
     seen: list[tuple[int, NDArray[np.void], NDArray[np.void]]] = field(default_factory=list)
-    clearest: NDArray[np.uint8] | None = None
+    pictures: list[NDArray[np.uint8]] = field(default_factory=list)
+    views: ViewChanges = field(default_factory=ViewChanges)
 
     def ground_tracks(
         self, images: Iterable[StampedImage], video: Path | None = None, fps: float = 25.0
@@ -120,16 +122,37 @@ class CameraRun:
             writer = None
             if video:
                 writer = files.enter_context(closing(VideoWriter(video, fps, self.image_size)))
-            overlay, fewest = ImageOverlay(self.homography), math.inf
+            overlay, fewest = ImageOverlay(self.homography), 0
             for stamp_ns, image, boxes in chain([first], detected):
                 seen = TrackedImage(stamp_ns, image, boxes, tracker.update(stamp_ns, boxes))
+                self.views.look(stamp_ns, image)
                 self.seen.append((seen.stamp_ns, seen.detections, seen.tracks))
-                if len(boxes) < fewest:
-                    self.clearest, fewest = image.copy(), len(boxes)
+                if len(self.pictures) <= len(self.views.found):
+                    self.pictures.append(image.copy())
+                    fewest = len(boxes)
+                elif len(boxes) < fewest:
+                    self.pictures[-1], fewest = image.copy(), len(boxes)
                 ground = projector.project(seen.stamp_ns, seen.tracks)
                 if writer:
                     writer.write(self._annotated(overlay, seen, ground))
                 yield seen.stamp_ns, ground
+
+    def longest_view(self) -> tuple[int, int, NDArray[np.uint8]]:
+        """First and last stamp of the longest time with one view, and a picture of it."""
+        stamps = [stamp_ns for stamp_ns, _, _ in self.seen]
+        edges = [stamps[0], *(stamp_ns for stamp_ns, _ in self.views.found), stamps[-1] + 1]
+        lengths = np.diff(edges)
+        k = int(np.argmax(lengths))
+        # The view changed at some time between two looks.
+        spare_ns = round(PERIOD_S * 1e9) if k < len(self.views.found) else 0
+        return edges[k], edges[k + 1] - 1 - spare_ns, self.pictures[k]
+
+    def ground_tracks_again(self, first_ns: int, last_ns: int) -> Iterator[StampedRows]:
+        """Stamp and `TRACK_DTYPE` rows of the images of one view, already seen."""
+        self.projector = projector = BoxProjector(self.homography, self.image_size)
+        for stamp_ns, _, tracks in self.seen:
+            if first_ns <= stamp_ns <= last_ns:
+                yield stamp_ns, projector.project(stamp_ns, tracks)
 
     def track_frames(self) -> Frames:
         """Observed tracks, of images that have any: predictions have no place in `tracks.csv`."""
@@ -180,8 +203,7 @@ class CameraJob:
     _recording: Recording = field(init=False, default_factory=Recording)
 
     def __post_init__(self) -> None:
-        mapper = WatchedMapper(make_estimator(self.estimator), update_period_s=self.update_period_s)
-        self.run = CameraRun(self.homography, self.detection, mapper)
+        self.run = CameraRun(self.homography, self.detection, self._mapper())
 
     def find_lanes(
         self, images: FrameSource, duration_s: float | None, video: Path | None = None
@@ -199,16 +221,40 @@ class CameraJob:
         shown = shown_images(images, duration_s, "finding vehicles and lanes")
         ground = self.run.ground_tracks(shown, video, images.fps or DEFAULT_FPS)
         tracks = self._recording.tee(ground)
-        run = self.run
-        try:
-            self.lane_map = find_lanes(tracks, run.mapper, images.name, lambda: run.projector)
-        except NoTrafficError as error:
-            if not run.seen:
-                raise
-            self.lane_map, self.nothing = LaneMap(run.seen[-1][0], ()), str(error.found)
+        self.lane_map = self._lanes(tracks, images.name)
+        if self.run.views.found:
+            self._recording, self.run.mapper = Recording(), self._mapper()
+            again = self.run.ground_tracks_again(*self.run.longest_view()[:2])
+            self.lane_map = self._lanes(self._recording.tee(again), images.name)
         if doubt_of(self.detection.detector):
             self.lane_map = unconfirmed(self.lane_map)
         check_images(images, self.detection.left_out, len(self.run.seen))
+
+    def _mapper(self) -> WatchedMapper:
+        return WatchedMapper(make_estimator(self.estimator), update_period_s=self.update_period_s)
+
+    def _lanes(self, tracks: Iterator[StampedRows], place: str) -> LaneMap:
+        """The lanes of the tracks; an empty map without traffic."""
+        run, self.nothing = self.run, ""
+        try:
+            return find_lanes(tracks, run.mapper, place, lambda: run.projector)
+        except NoTrafficError as error:
+            if not run.seen:
+                raise
+            self.nothing = str(error.found)
+            return LaneMap(run.seen[-1][0], ())
+
+    def _note_views(self, remarks: InputReport) -> None:
+        """Say where the view changed, and which part the lanes are from."""
+        run = self.run
+        if not run.views.found:
+            return
+        start_ns = run.seen[0][0]
+        for stamp_ns, sentence in run.views.found:
+            remarks.note(Treatment.NOTED, f"{sentence} from {(stamp_ns - start_ns) / 1e9:.1f} s on")
+        first_s, last_s = ((ns - start_ns) / 1e9 for ns in run.longest_view()[:2])
+        part = f"lanes are from {first_s:.1f} to {last_s:.1f} s, the longest time with one view"
+        remarks.note(Treatment.NOTED, f"{part}: the calibration must be of that view")
 
     def write(self, folder: Path, images: FrameSource) -> None:
         """Write tracks.csv, lanes.geojson and report.html of lanes that were found in images."""
@@ -225,6 +271,7 @@ class CameraJob:
         note_other_classes(remarks, frames)
         for sentence in images.remarks.sentences():
             remarks.note(Treatment.NOTED, sentence)
+        self._note_views(remarks)
         if doubt := doubt_of(self.detection.detector):
             remarks.note(Treatment.DOUBTFUL, doubt)
         if self.nothing:
@@ -238,5 +285,10 @@ class CameraJob:
         method = describe_method(self.estimator, self.update_period_s)
         method = f"{self.detection.detector.name}; {method}"
         save_report(
-            folder / REPORT, camera, self.lane_map, self._recording, method, image=self.run.clearest
+            folder / REPORT,
+            camera,
+            self.lane_map,
+            self._recording,
+            method,
+            image=self.run.longest_view()[2],
         )

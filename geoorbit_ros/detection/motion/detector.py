@@ -18,7 +18,7 @@ from geoorbit_ros.detection.motion.road_axes import RoadAxes
 from geoorbit_ros.detection.motion.shadows import ShadowModel
 from geoorbit_ros.detection.motion.trajectories import Trajectories
 from geoorbit_ros.detection.motion.vehicle_shapes import VehicleOutlines, VehicleSizes
-from geoorbit_ros.detection.motion.view_watch import ViewWatch
+from geoorbit_ros.detection.view_watch import ViewWatch
 
 WORK_WIDTH_PX = 1280
 """Wider images are worked on at this width. Chosen: wider ones show smaller vehicles and take more
