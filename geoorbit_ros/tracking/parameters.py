@@ -32,8 +32,9 @@ class TrackerParameters:
         low_score: Those from here to `high_score` continue tracks that found none of the first;
             weaker ones are ignored.
         birth_score: Score that begins a track.
-        confirm_hits: Observations after which a track gets its id and is published.
-        confirm_score: Score above which one observation is enough.
+        confirm_hits: Observations, a tenth of a second apart, after which a track gets its id and
+            is published.
+        confirm_score: Score above which those of one tenth of a second are enough.
         max_gap_s: A track unobserved for longer has ended.
         predict_s: Unobserved tracks are published, flagged as predicted, for this long.
         image_width: Of the camera's image in pixels, 0 when unknown: with it boxes cut by the

@@ -49,6 +49,9 @@ where the size of a car is not known well yet."""
 MIN_CAR_PX = 6.0
 """Where cars are less high, nothing is found. Chosen: seen from a pole of 10 m with a usual lens,
 one pixel there is 7 m of the road; smaller gives tracks that break and swap there."""
+MIN_HEIGHT_PX = 8
+"""Where sizes are known, less high boxes are no vehicles. Chosen: larger misses far cars, smaller
+gives pieces of far vehicles, each with an id of its own."""
 MIN_LORRY_CAR_PX = 10.0
 """Where cars are less high, no lorry is looked for. Chosen: a dense queue looks like one there;
 smaller joins queues."""
@@ -172,7 +175,9 @@ def _vehicles(
         if vehicle.whole and sizes.known:
             outlines.add(blob.pixels, box, (blob.left, blob.top))
         sound = vehicle.fill > CONVEX_FILL and not touches_border(box, image_shape)
-        return [vehicle] if sound or _large_enough(vehicle, sizes, image_shape) else []
+        low = sizes.known and box[3] - box[1] < MIN_HEIGHT_PX
+        kept = not low and (sound or _large_enough(vehicle, sizes, image_shape))
+        return [vehicle] if kept else []
     vehicles = _explained(_closed(blob, sizes), box, image_shape, sizes, outlines, axes)
     return [vehicle for vehicle in vehicles if _large_enough(vehicle, sizes, image_shape)]
 
@@ -235,7 +240,7 @@ def _large_enough(vehicle: Vehicle, sizes: VehicleSizes, image_shape: tuple[int,
     width, height = sizes.car(box)
     share = (box[2] - box[0]) * (box[3] - box[1]) / (width * height)
     high = box[3] - box[1] > MIN_PART * height or touches_border(box, image_shape)
-    return high and share > MIN_PART
+    return high and share > MIN_PART and box[3] - box[1] >= MIN_HEIGHT_PX
 
 
 def touches_border(box: Box, image_shape: tuple[int, ...]) -> bool:

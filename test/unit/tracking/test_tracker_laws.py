@@ -231,10 +231,22 @@ def test_a_sure_detection_is_a_track_at_once_a_doubtful_one_when_seen_again(
     score: float, first: int
 ) -> None:
     vehicle = Vehicle(3.0, 60.0, -10.0, score=score)
-    frames = [(s, detections([vehicle], seconds(s))) for s in stamps(4)]
+    frames = [(s, detections([vehicle], seconds(s))) for s in stamps(4, fps=10.0)]
     shown = [len(rows) for rows in track_all(frames)]
     assert shown == [0] * first + [1] * (4 - first)
     assert [len(rows) for rows in track_all(frames, confirm_score=1.0)] == [0, 1, 1, 1]
+
+
+@pytest.mark.parametrize("fps", [10.0, 25.0, 50.0])
+def test_a_false_box_is_no_track_however_often_it_is_looked_at(fps: float) -> None:
+    """It is there again in the next image; more images of one moment are no more evidence."""
+    lasting = Vehicle(3.0, 60.0, -10.0)
+    brief = Vehicle(-3.0, 40.0, 0.0, score=0.5)
+    frames = []
+    for s in stamps(int(2 * fps), fps):
+        seen = [brief] if 1.0 <= seconds(s) < 1.0 + 0.07 else []
+        frames.append((s, detections([lasting, *seen], seconds(s))))
+    assert {int(i) for rows in track_all(frames) for i in rows["track_id"]} == {1}
 
 
 def test_vehicles_that_a_detector_joins_for_a_moment_keep_their_ids() -> None:
