@@ -42,6 +42,9 @@ for a moment is none; more tell it later."""
 MIN_BUMP = 1.0
 """Least shift for good, in pixels at `WIDTH_PX`. Chosen: larger misses bumps; images of one view
 differ by 0.6 in wind and noise."""
+ALIGNED_RESPONSE = 0.1
+"""Peak of the correlation, at no shift, from which it is the same view however much traffic hides.
+Chosen: unrelated images have up to 0.05, and peaks anywhere."""
 USUAL_SHARE = 0.4
 """Another view has less than this share of the blocks in common that images of one view have.
 Chosen: larger takes a jam for another view, smaller misses views that are alike."""
@@ -156,7 +159,9 @@ class ViewChanges:
             alike = response >= MIN_RESPONSE and moved > max(likeness, MOST_ALIKE)
             if alike and np.hypot(*shift) >= MIN_BUMP:
                 return shift
-            if likeness < min(USUAL_SHARE * float(np.median(self._usual)), MOST_ALIKE):
+            aligned = response >= ALIGNED_RESPONSE and np.hypot(*shift) < MIN_BUMP
+            unlike = likeness < min(USUAL_SHARE * float(np.median(self._usual)), MOST_ALIKE)
+            if unlike and not aligned:
                 return np.full(2, np.nan)
         self._usual.append(likeness)
         return None
