@@ -49,6 +49,9 @@ where the size of a car is not known well yet."""
 MIN_CAR_PX = 6.0
 """Where cars are less high, nothing is found. Chosen: seen from a pole of 10 m with a usual lens,
 one pixel there is 7 m of the road; smaller gives tracks that break and swap there."""
+MIN_HILL_PX = 16
+"""Unless it is at least so high, on a road where vehicles have travelled: height grows with the row
+only on a plane. Chosen: larger misses cars on the top of a hill, smaller finds leaves."""
 MIN_HEIGHT_PX = 8
 """Where sizes are known, less high boxes are no vehicles. Chosen: larger misses far cars, smaller
 gives pieces of far vehicles, each with an id of its own."""
@@ -169,7 +172,7 @@ def _vehicles(
     if box is None:
         return []
     if sizes.known and sizes.car(box)[1] < MIN_CAR_PX:
-        return []
+        return _beyond(blob, box, image_shape, axes)
     if not sizes.known or _is_one(box, sizes):
         vehicle = _vehicle(blob, box, image_shape, sizes)
         if vehicle.whole and sizes.known:
@@ -180,6 +183,14 @@ def _vehicles(
         return [vehicle] if kept else []
     vehicles = _explained(_closed(blob, sizes), box, image_shape, sizes, outlines, axes)
     return [vehicle for vehicle in vehicles if _large_enough(vehicle, sizes, image_shape)]
+
+
+def _beyond(blob: Blob, box: Box, image_shape: tuple[int, ...], axes: RoadAxes) -> list[Vehicle]:
+    """A vehicle where, by the sizes nearer by, none could be seen: the road goes over a hill."""
+    cut_off, fill = touches_border(box, image_shape), _fill(blob)
+    if box[3] - box[1] < MIN_HILL_PX or fill <= CONVEX_FILL or not axes.is_driven(box):
+        return []
+    return [Vehicle(box, not cut_off, fill, CONVEX_SIMILARITY)]
 
 
 def _explained(

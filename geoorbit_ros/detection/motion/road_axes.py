@@ -77,11 +77,12 @@ class RoadAxes:
 
     def on_road(self, box: Box) -> bool:
         """Whether a vehicle may be where a box stands: not where things move and never travel."""
-        foot = _cells(np.array(box, dtype=np.float64))
-        clutter = self._clutter[foot]
-        if not clutter.size or clutter.mean() < CLUTTER:
-            return True
-        driven = self._driven[foot]
+        clutter = self._clutter[_cells(np.array(box, dtype=np.float64))]
+        return not clutter.size or bool(clutter.mean() < CLUTTER) or self.is_driven(box)
+
+    def is_driven(self, box: Box) -> bool:
+        """Whether vehicles have travelled where a box stands."""
+        driven = self._driven[_cells(np.array(box, dtype=np.float64))]
         return bool(driven.size and driven.mean() >= DRIVEN)
 
     def covered_share(self, moving: NDArray[np.uint8]) -> float:

@@ -42,6 +42,9 @@ that turn overlap less; smaller follows neighbours."""
 STAYED = 0.5
 """What is less than so many square roots of its box's area from where it was first seen has stayed.
 Chosen: larger takes slow vehicles for leaves, smaller misses what sways."""
+STAYED_PER_S = 0.3
+"""And less than so many in a second: far vehicles that come head on move their own size in one or
+two. Chosen: larger takes them for leaves, smaller misses what sways slowly."""
 STAYING_STEPS = 5
 """Least number of steps of what stays. Chosen: larger misses what flickers, smaller takes vehicles
 that begin to move for leaves."""
@@ -69,6 +72,7 @@ class _Trajectory:
 
     first: Array
     last: Array
+    born_ns: int
     stamp_ns: int
     last_kept: Array
     velocity: Array = field(default_factory=lambda: np.zeros(2))
@@ -140,7 +144,9 @@ class Trajectories:
                 trajectory.kept = []
         taken = {m for _, m in pairs}
         self._open += [
-            _Trajectory(box, box, stamp_ns, box) for m, box in enumerate(now) if m not in taken
+            _Trajectory(box, box, stamp_ns, stamp_ns, box)
+            for m, box in enumerate(now)
+            if m not in taken
         ]
         for k, _ in pairs:
             stayed += _stayed(self._open[k], STAYING_STEPS)
@@ -187,10 +193,11 @@ def _stayed(trajectory: _Trajectory, steps: int) -> list[Array]:
         trajectory: What was followed.
         steps: With fewer steps it can't be told yet.
     """
-    box = trajectory.last
-    side = float(np.sqrt(np.prod(box[2:] - box[:2])))
+    box, side = trajectory.last, _side(trajectory.first, trajectory.last)
     away = float(np.hypot(*_way(trajectory.first, box)))
-    if trajectory.travelled or trajectory.steps < steps or away > STAYED * side:
+    seen_s = (trajectory.stamp_ns - trajectory.born_ns) / 1e9
+    stays = away <= min(STAYED, STAYED_PER_S * seen_s) * side
+    if trajectory.travelled or trajectory.steps < steps or not stays:
         return []
     new = trajectory.steps + 1 - trajectory.counted
     trajectory.counted += new
@@ -215,6 +222,7 @@ def _extend(trajectory: _Trajectory, stamp_ns: int, box: Array, *, whole: bool) 
         if trajectory.count <= MOST_KEPT:
             trajectory.kept.append((box, moved / length, whole))
     away = float(np.hypot(*_way(trajectory.first, box)))
+    side = _side(trajectory.first, box)  # what comes near grows on its way
     if trajectory.steps >= MIN_STEPS and away >= STRAIGHTNESS * trajectory.way_px:
         trajectory.moving |= away >= MOVED * side
         trajectory.travelled |= away >= TRAVELLED * side
@@ -224,6 +232,11 @@ def _overlap(a: Array, b: Array) -> float:
     """Intersection over union of two boxes (4,)."""
     both = np.prod(np.maximum(np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2]), 0.0))
     return float(both / (np.prod(a[2:] - a[:2]) + np.prod(b[2:] - b[:2]) - both))
+
+
+def _side(first: Array, last: Array) -> float:
+    """Square root of the area of a box between the two, pixels."""
+    return float((np.prod(first[2:] - first[:2]) * np.prod(last[2:] - last[:2])) ** 0.25)
 
 
 def _way(then: Array, now: Array) -> Array:
