@@ -55,6 +55,9 @@ only on a plane. Chosen: larger misses cars on the top of a hill, smaller finds 
 MIN_HEIGHT_PX = 8
 """Where sizes are known, less high boxes are no vehicles. Chosen: larger misses far cars, smaller
 gives pieces of far vehicles, each with an id of its own."""
+MIN_HEIGHT_SHARE = 1 / 107
+"""And this share of the image's width: 12 px of 1280. Chosen: three quarters of the height from
+which boxes are useful (docs/detection.md)."""
 MIN_LORRY_CAR_PX = 10.0
 """Where cars are less high, no lorry is looked for. Chosen: a dense queue looks like one there;
 smaller joins queues."""
@@ -178,7 +181,7 @@ def _vehicles(
         if vehicle.whole and sizes.known:
             outlines.add(blob.pixels, box, (blob.left, blob.top))
         sound = vehicle.fill > CONVEX_FILL and not touches_border(box, image_shape)
-        low = sizes.known and box[3] - box[1] < MIN_HEIGHT_PX
+        low = sizes.known and box[3] - box[1] < _min_height_px(image_shape)
         kept = not low and (sound or _large_enough(vehicle, sizes, image_shape))
         return [vehicle] if kept else []
     vehicles = _explained(_closed(blob, sizes), box, image_shape, sizes, outlines, axes)
@@ -251,7 +254,11 @@ def _large_enough(vehicle: Vehicle, sizes: VehicleSizes, image_shape: tuple[int,
     width, height = sizes.car(box)
     share = (box[2] - box[0]) * (box[3] - box[1]) / (width * height)
     high = box[3] - box[1] > MIN_PART * height or touches_border(box, image_shape)
-    return high and share > MIN_PART and box[3] - box[1] >= MIN_HEIGHT_PX
+    return high and share > MIN_PART and box[3] - box[1] >= _min_height_px(image_shape)
+
+
+def _min_height_px(image_shape: tuple[int, ...]) -> float:
+    return max(MIN_HEIGHT_PX, MIN_HEIGHT_SHARE * image_shape[1])
 
 
 def touches_border(box: Box, image_shape: tuple[int, ...]) -> bool:
