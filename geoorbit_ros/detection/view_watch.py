@@ -27,15 +27,11 @@ smaller rejects a bump seen with noise."""
 MIN_RESPONSE = 0.15
 """Least peak of the correlation, 1 for identical images. Chosen: larger misses bumps of poor
 images, smaller finds shifts in images that have nothing in common."""
-
-
 SWAY_SHARE = 0.75
 """The image sways by as much as this share of the latest shifts. Chosen: larger takes one wrong
 shift for sway, smaller underrates it: most of a swing is spent near its ends."""
 SWAY_LOOKS = 12
 """Shifts that tell the sway, of some five seconds. Chosen: more react to wind later."""
-
-
 OTHER_LOOKS = 5
 """So many images in a row must show another view, two seconds. Chosen: a lorry that fills the image
 for a moment is none; more tell it later."""
@@ -50,7 +46,7 @@ USUAL_SHARE = 0.4
 Chosen: larger takes a jam for another view, smaller misses views that are alike."""
 MOST_ALIKE = 0.35
 """Other views have at most this share of blocks in common. Of 4,830 pairs of images from 70 real
-cameras 95 % had less than 0.16; images of one view have 0.3 to 1, in the densest traffic 0.16."""
+cameras 95 % had less than 0.16; images of one view have 0.3 to 1, in dense traffic 0.16 to 0.3."""
 USUAL_LOOKS = 20
 """Looks over which that is usual, eight seconds."""
 BLOCK_PX = 16

@@ -103,7 +103,8 @@ class MotionDetector:
             return f"{share}: the motion detector can't tell them apart, a YOLO model can (--model)"
         if not self._sizes.known and self._found >= DOUBTFUL_BOXES:
             unknown = f"no size of vehicles is known after {self._found} boxes"
-            return f"{unknown}: hardly one drove by itself, boxes are rough, a YOLO model is better"
+            alone = f"vehicles that drove by themselves: {self._alone}"
+            return f"{unknown} ({alone}): boxes are rough, a YOLO model is better (--model)"
         return ""
 
     def detect(self, stamp_ns: int, image: NDArray[np.generic]) -> NDArray[np.void]:
@@ -128,7 +129,7 @@ class MotionDetector:
         self._learnt_ns: int | None = None
         self._covered_ns: int | None = None
         self._covered = self._watched_s = 0.0
-        self._found = 0
+        self._found = self._alone = 0
 
     def _vehicles(self, stamp_ns: int, image: Image) -> list[Vehicle]:
         moving = self._road.moving(image)
@@ -149,6 +150,7 @@ class MotionDetector:
         boxes, isolated = [v.box for v in inside], [v.whole for v in inside]
         travelled = self._trajectories.add(stamp_ns, boxes, isolated)
         self._axes.add(travelled)
+        self._alone += travelled.vehicles
         self._sizes.add(travelled.boxes[travelled.isolated])
         if self._frames % LEARN_FRAMES == 0:
             self._sizes.learn()

@@ -1,7 +1,7 @@
 """Vehicles are what travels.
 
-Isolated boxes are followed until they have driven some of their own lengths. Leaves, flags, water,
-edges of dashes and poles move too, but stay where they are.
+Boxes are followed until they have driven some of their own lengths. Leaves, flags, water, edges of
+dashes and poles move too, but stay where they are.
 """
 
 from __future__ import annotations
@@ -56,10 +56,10 @@ MIN_STEPS = 4
 KEPT_SHARE = 0.12
 """A box is kept after so many square roots of its area. Chosen: a vehicle that creeps counts no
 more than one that drives; smaller gives more boxes of the same."""
-_IMPOSSIBLE = 1e6
-"""More than any assignment within the limits costs."""
 MOST_KEPT = 60
 """Boxes kept of one trajectory. Chosen: more only repeat each other."""
+_IMPOSSIBLE = 1e6
+"""More than any assignment within the limits costs."""
 
 
 @dataclass(slots=True)
@@ -105,7 +105,7 @@ class Travelled:
 
 
 class Trajectories:
-    """Follows isolated boxes from image to image and tells which have travelled."""
+    """Follows boxes from image to image and tells which have travelled, and which stay."""
 
     def __init__(self) -> None:
         self._open: list[_Trajectory] = []
