@@ -31,6 +31,9 @@ ONE_VEHICLE_LIMIT = 23.0
 """Cost from which a detection rather is a new vehicle. Chosen on KITTI tracking and seed 5 of four
 scenes (docs/tracking.md): larger gives ids of vehicles that leave to those that come, smaller gives
 one vehicle several ids at low frame rates."""
+WEAK_COST = 2.0
+"""Cost of a weak detection: it continues a track only where it was predicted. Chosen on KITTI
+tracking: larger loses far vehicles, smaller lets false boxes take over lost tracks."""
 LEAVE_COST = 36.0
 """Cost of leaving a track or a detection without partner. Chosen: with `SPREAD_WEIGHT` it settles
 who gets a detection that several could explain."""
@@ -69,6 +72,7 @@ def candidate_pairs(
     track_class: NDArray[np.int64],
     whole: NDArray[np.bool_],
     found: FrameDetections,
+    doubt: Array,
     image_size: tuple[int, int],
 ) -> Pairs:
     """Pairs within the gate that may be one vehicle, with their costs.
@@ -85,6 +89,7 @@ def candidate_pairs(
         track_class: (N,) its class.
         whole: (N,) whether its vehicle has been seen as a whole.
         found: The detections.
+        doubt: (M,) cost of each detection, because it may be a false box.
         image_size: (width, height) in pixels, 0 where it is not known.
     """
     mean, spread = predicted[MEAN], predicted[VARIANCE]
@@ -109,7 +114,7 @@ def candidate_pairs(
     error = values - mean[:, track]
     distance = (error * error / total).sum(axis=0)
     cost = (TAIL + 4.0) * np.log1p(distance / TAIL)
-    cost += track_cost[track] + TENTATIVE_COST * ~confirmed[track]
+    cost += track_cost[track] + TENTATIVE_COST * ~confirmed[track] + doubt[detection]
     cost += CLASS_COST * (track_class[track] != found.class_id[detection])
     spread_cost = np.log((total / spreads).prod(axis=0))
     may_be = (distance < GATE) & (cost + LIKELIHOOD_WEIGHT * spread_cost < ONE_VEHICLE_LIMIT)

@@ -96,7 +96,7 @@ def start(box: Array, variance: Array, rate: Array, rate_variance: Array) -> Arr
 
 def predict(state: Array, elapsed_s: Array, noise: MotionNoise) -> Array:
     """(5, 4, N) states `elapsed_s` (N,) after the observations that `state` (5, 4, N) is of."""
-    growth = np.clip(state[RATE, 2:], -MAX_GROWTH, MAX_GROWTH)
+    growth = np.minimum(np.maximum(state[RATE, 2:], -MAX_GROWTH), MAX_GROWTH)
     per_side = np.empty((4, len(elapsed_s)))
     # Of both sides' growth, the mean: noise halves, and a turning vehicle's width says little.
     per_side[:2] = 0.5 * (growth[0] + growth[1])

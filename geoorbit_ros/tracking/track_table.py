@@ -33,6 +33,7 @@ class FrameDetections:
         measured: (4, M) see `motion_model.measurements`.
         variance: (4, M) of `measured`.
         score: (M,) confidence.
+        score_bin: (M,) its bin, see `ScoreModel`.
         strong: (M,) whether it is confident.
         class_id: (M,) COCO class.
         cut: (M,) whether the image border cuts the box; False where the image's size is unknown.
@@ -43,6 +44,7 @@ class FrameDetections:
     measured: Array
     variance: Array
     score: Array
+    score_bin: NDArray[np.int64]
     strong: NDArray[np.bool_]
     class_id: NDArray[np.int64]
     cut: NDArray[np.bool_]
@@ -69,7 +71,9 @@ def prepare(
     variance[:, cut] *= CUT_FACTOR
     unusable = len(rows) - int(np.count_nonzero(usable))
     score, strong = value[4], value[4] >= parameters.high_score
-    return FrameDetections(box, measurements(box), variance, score, strong, kind, cut, unusable)
+    bins = ScoreModel.bin_of(score)
+    found = measurements(box)
+    return FrameDetections(box, found, variance, score, bins, strong, kind, cut, unusable)
 
 
 def _cut(box: Array, image_width: int, image_height: int) -> NDArray[np.bool_]:
@@ -149,7 +153,7 @@ class TrackTable:
         zeros = np.zeros(len(which), np.int64)
         score = found.score[which]
         bins = np.full((KEPT_SCORES, len(which)), -1)
-        bins[0] = scores.bin_of(score)
+        bins[0] = found.score_bin[which]
         return cls(
             state=state,
             box=found.box[:, which],
@@ -164,7 +168,7 @@ class TrackTable:
             score=score,
             cut=found.cut[which],
             entering=found.cut[which],
-            evidence=scores.evidence(score) + scores.prior,
+            evidence=scores.evidence(bins[0]) + scores.prior,
             score_bins=bins,
             predicted_frames=np.zeros((2, len(which))),
         )

@@ -27,6 +27,7 @@ from geoorbit_ros.core.tables import (
 )
 from geoorbit_ros.tracking.association import (
     LEAVE_COST,
+    WEAK_COST,
     Pairs,
     assign,
     candidate_pairs,
@@ -320,6 +321,7 @@ class Tracker:
             tracks.class_id,
             ~tracks.entering,
             found,
+            self._scores.doubt(found.score_bin) + WEAK_COST * ~found.strong,
             (self._p.image_width, self._p.image_height),
         )
         of_strong = found.strong[pairs.detection]
@@ -349,16 +351,18 @@ class Tracker:
         tracks = self._tracks
         hit = np.flatnonzero(partner >= 0)
         of_hit = partner[hit]
-        score, strong = found.score[of_hit], found.strong[of_hit]
-        says = np.where(strong, self._scores.evidence(score) + self._per_hit, 0.0)
+        bins = found.score_bin[of_hit]
+        says = self._scores.evidence(bins) + self._per_hit
+        says[~found.strong[of_hit]] = 0.0
         tracks.evidence[hit] += self._weight * says
         unseen = (partner < 0) & (tracks.track_id == 0)
         tracks.evidence[unseen] -= self._weight * MISS_EVIDENCE
         early = tracks.hits[hit] < KEPT_SCORES
-        tracks.score_bins[tracks.hits[hit[early]], hit[early]] = self._scores.bin_of(score[early])
+        tracks.score_bins[tracks.hits[hit[early]], hit[early]] = bins[early]
         lasting = hit[tracks.hits[hit] == LASTING_HITS - 1]
         if len(lasting):
             self._scores.learn(tracks.score_bins[:, lasting], lasted=True)
+        self._scores.observe(bins[tracks.hits[hit] >= LASTING_HITS])
 
     def _confirm(self) -> None:
         tracks = self._tracks

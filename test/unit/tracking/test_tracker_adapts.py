@@ -78,9 +78,27 @@ def test_scores_that_only_false_boxes_have_stop_confirming_tracks() -> None:
     assert sum(shown[200:]) < 0.05 * 200
 
 
+@pytest.mark.parametrize(("vehicle_score", "continued"), [(0.97, False), (0.6, True)])
+def test_a_box_continues_a_vehicle_only_with_a_score_that_vehicles_have_here(
+    vehicle_score: float, continued: bool
+) -> None:
+    """After each vehicle, half a vehicle beside where it would be, a box of 0.5 appears."""
+    tracker = Tracker(parameters())
+    random = np.random.default_rng(4)
+    taken = 0
+    for k in range(900):
+        leaf = (*random.uniform((100, 50), (1100, 150)), 30.0, 30.0, 0.5)
+        x = 50.0 + 12.0 * (k % 45)
+        score = float(np.clip(vehicle_score + random.normal(0.0, 0.02), 0.0, 1.0))
+        vehicle = (x, 300.0, 60.0, 50.0, score) if k % 45 < 40 else (x, 328.0, 66.0, 55.0, 0.5)
+        rows = observed(tracker, k, detections(vehicle, leaf))
+        taken += int(k > 450 and (rows["y"] > 320).sum())
+    assert (taken > 25) == continued
+
+
 def test_a_score_says_nothing_before_anything_was_learnt_at_the_neutral_one() -> None:
-    scores = np.array([0.1, 0.42, 0.9])
     model = ScoreModel(0.42)
+    scores = model.bin_of(np.array([0.1, 0.42, 0.9]))
     evidence = model.evidence(scores) + model.prior
     assert evidence[0] < -1.0
     assert abs(evidence[1]) < 0.5
