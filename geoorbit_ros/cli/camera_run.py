@@ -21,7 +21,7 @@ from geoorbit_ros.cli.resume import DetectionRun
 from geoorbit_ros.core.errors import NoTrafficError
 from geoorbit_ros.core.input_report import InputReport, Treatment
 from geoorbit_ros.core.lanes import LaneMap
-from geoorbit_ros.core.tables import FLAG_PREDICTED, PIXEL_TRACK_DTYPE, Frames
+from geoorbit_ros.core.tables import FLAG_PREDICTED, PIXEL_TRACK_DTYPE, Frames, one_class_each
 from geoorbit_ros.detection.detector import doubt_of
 from geoorbit_ros.detection.view_watch import PERIOD_S, ViewChanges
 from geoorbit_ros.lanes.confidence import unconfirmed
@@ -154,6 +154,15 @@ class CameraRun:
             if first_ns <= stamp_ns <= last_ns:
                 yield stamp_ns, projector.project(stamp_ns, tracks)
 
+    def settle_classes(self) -> None:
+        """Give each track the one class that all of its images together say."""
+        tables = [tracks for _, _, tracks in self.seen]
+        kinds = one_class_each(np.concatenate([np.empty(0, PIXEL_TRACK_DTYPE), *tables]))
+        for rows, kind in zip(
+            tables, np.split(kinds, np.cumsum([len(rows) for rows in tables])), strict=False
+        ):
+            rows["class_id"] = kind
+
     def track_frames(self) -> Frames:
         """Observed tracks, of images that have any: predictions have no place in `tracks.csv`."""
         kept = [(s, t[(t["flags"] & FLAG_PREDICTED) == 0]) for s, _, t in self.seen]
@@ -228,6 +237,7 @@ class CameraJob:
             self.lane_map = self._lanes(self._recording.tee(again), images.name)
         if doubt_of(self.detection.detector):
             self.lane_map = unconfirmed(self.lane_map)
+        self.run.settle_classes()
         check_images(images, self.detection.left_out, len(self.run.seen))
 
     def _mapper(self) -> WatchedMapper:

@@ -1,6 +1,7 @@
 """Corrects a network by the findings of a camera, through netconvert, and checks the result.
 
 Only lanes with a finding change. The part of a lane beyond the view moves along with the part seen.
+A lane that isn't there is removed only if most of it was in view.
 """
 
 from __future__ import annotations
@@ -26,6 +27,9 @@ from geoorbit_ros.roadnet.netconvert import drop_header
 from geoorbit_ros.roadnet.network import RoadNetwork, load_network
 from geoorbit_ros.roadnet.plain_network import EdgeEdit, LaneEdit, PlainNetwork
 
+UNSEEN_SHARE = 0.5
+"""Share of a lane that may lie outside the view for the lane to be removed. Chosen: larger removes
+lanes that may be there farther down the road, smaller leaves extra lanes whose ends are hidden."""
 NETWORK, FOLDER = "network.net.xml", "patch"
 
 
@@ -135,8 +139,8 @@ class _Editor:
             return "its lane is gone"
         lane = edit.lanes[at]
         if finding.kind == "extra":
-            if len(edit.lanes) == 1:
-                return "it is its edge's only lane"
+            if reason := self._kept(k, finding, edit):
+                return reason
             del edit.lanes[at]
         elif finding.kind == "width":
             lane.width_m = finding.measured
@@ -151,6 +155,17 @@ class _Editor:
             )
             inner = (side > 0) != self._network.left_hand
             edit.lanes.insert(at + 1 if inner else at, new)
+        return ""
+
+    def _kept(self, k: int, finding: Finding, edit: EdgeEdit) -> str:
+        """Why an extra lane is not removed; empty where it is."""
+        if len(edit.lanes) == 1:
+            return "it is its edge's only lane"
+        length_m = float(self._network.length_m[k])
+        seen_m = float(np.ptp(project(finding.line_m, self._network.line(k)).arc_m))
+        if length_m - seen_m > UNSEEN_SHARE * length_m:
+            seen = f"only {seen_m:.0f} m of its {length_m:.0f} m were in view"
+            return f"{seen}: it may be there farther on (split the edge to remove a part)"
         return ""
 
     def _rules(self, edit: EdgeEdit, beside: LaneEdit) -> dict[str, str]:

@@ -137,6 +137,24 @@ def test_an_empty_lane_is_extra_only_beside_enough_traffic(
     assert [(f.kind, f.lane_id) for f in many.findings] == [("extra", "west_2")]
 
 
+def test_a_lane_that_is_half_in_view_is_found_empty_and_stays_in_the_map(
+    network: RoadNetwork, tmp_path: Path
+) -> None:
+    (tmp_path / "plain").mkdir()
+    (tmp_path / "out").mkdir()
+    plant("extra", network, "west_1", tmp_path / "bad.net.xml", tmp_path / "plain")
+    bad = load_network(tmp_path / "bad.net.xml", network.datum)
+    half = [
+        replace(each, centerline_m=each.centerline_m[: len(each.centerline_m) // 2])
+        for each in detected(network, vehicles=20.0)
+    ]
+    result = patch_network(half, bad, tmp_path / "out")
+    ((finding, reason),) = result.left
+    assert (finding.kind, finding.lane_id) == ("extra", "west_2")
+    assert "m were in view" in reason
+    assert "west_2" in result.network.lane_id
+
+
 @pytest.mark.parametrize(("used_m", "kinds"), [(8, ["extra"]), (32, [])])
 def test_a_lane_that_is_left_early_is_not_extra(
     network: RoadNetwork, lanes: list[Lane], used_m: int, kinds: list[str]
