@@ -11,6 +11,7 @@ import typer
 from geoorbit_ros.cli.inputs import (
     ClassesOption,
     ColumnsOption,
+    ForceOption,
     StrictOption,
     TrackFpsOption,
     read_options,
@@ -39,7 +40,7 @@ def from_csv(
     camera_id: Annotated[
         str, typer.Option(help="Namespace of the camera: the topic is /CAMERA_ID/tracks_px.")
     ],
-    out: Annotated[Path, typer.Option(help="Folder of the new bag; must not exist.")],
+    out: Annotated[Path, typer.Option(help="Folder of the new bag; new or empty.")],
     storage: Annotated[
         StorageName, typer.Option(help="mcap: a third of the size; sqlite3: older tools.")
     ] = StorageName.MCAP,
@@ -47,6 +48,7 @@ def from_csv(
     columns: ColumnsOption = None,
     classes: ClassesOption = "coco",
     strict: StrictOption = False,
+    force: ForceOption = False,
 ) -> None:
     """Turn a file of tracked boxes into a bag that `ros2 bag play` and `geoorbit replay` take.
 
@@ -75,7 +77,7 @@ def from_csv(
             "control points of the same camera at the same image size",
         )
     with status("writing"):
-        write_track_bag(out, camera_id, frames, storage.value)
+        write_track_bag(out, camera_id, frames, storage.value, overwrite=force)
     print_remarks(remarks, calibration_report(plane))
     info = describe_bag(out)
     typer.echo(

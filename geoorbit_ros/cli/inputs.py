@@ -100,6 +100,12 @@ ResumeOption = Annotated[
     bool,
     typer.Option("--resume", help="Go on where the same command ended early; see OUT.resume."),
 ]
+ForceOption = Annotated[
+    bool,
+    typer.Option(
+        "--force", help="Write into OUT though it has content; only files of the same names go."
+    ),
+]
 DurationOption = Annotated[
     float | None,
     typer.Option("--duration", min=0.1, metavar="SECONDS", help="Stop after this time."),

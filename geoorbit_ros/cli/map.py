@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from geoorbit_ros.cli.inputs import DatumOption, DrivingSideOption
+from geoorbit_ros.cli.inputs import DatumOption, DrivingSideOption, ForceOption
 
 if TYPE_CHECKING:
     from geoorbit_ros.roadnet.map_build import BuiltMap
@@ -22,7 +22,7 @@ def _group() -> None:
 
 @app.command("build")
 def build(
-    out: Annotated[Path, typer.Option("--out", help="Folder for the files; must not exist.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder for the files; new or empty.")],
     area: Annotated[
         Path | None,
         typer.Argument(help="OpenStreetMap extract: .osm, .osm.gz, .osm.bz2, or JSON of Overpass."),
@@ -41,6 +41,7 @@ def build(
     strict: Annotated[
         bool, typer.Option("--strict", help="Refuse an extract that has any fault.")
     ] = False,
+    force: ForceOption = False,
 ) -> None:
     """Make a SUMO network and an OpenDRIVE road of a map, by SUMO's own netconvert.
 
@@ -57,7 +58,7 @@ def build(
     from geoorbit_ros.twin.figures import save_network_figure
 
     origin, side = parse_datum(datum), parse_driving_side(driving_side)
-    with atomic_output(out) as folder:
+    with atomic_output(out, overwrite=force) as folder:
         folder.mkdir()
         with status("building the network"):
             if area is not None and net is None:

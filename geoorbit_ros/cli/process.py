@@ -15,6 +15,7 @@ from geoorbit_ros.cli.inputs import (
     DatumOption,
     DurationOption,
     EstimatorOption,
+    ForceOption,
     FpsOption,
     MinScoreOption,
     ModelOption,
@@ -37,7 +38,7 @@ DETECTIONS, TRACKS, VIDEO = "detections.txt", "tracks.txt", "annotated.mp4"
 def process(
     source: SourceArgument,
     calibration: CalibrationOption,
-    out: Annotated[Path, typer.Option("--out", help="Folder for the files; must not exist.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder for the files; new or empty.")],
     model: ModelOption = None,
     class_names: ClassNamesOption = "",
     min_score: MinScoreOption = 0.25,
@@ -55,6 +56,7 @@ def process(
     start_time: StartTimeOption = None,
     password_file: PasswordFileOption = None,
     resume: ResumeOption = False,
+    force: ForceOption = False,
     strict: StrictImagesOption = False,
 ) -> None:
     """Find vehicles, tracks and lanes in a video or any other source of images, offline.
@@ -75,7 +77,7 @@ def process(
     from geoorbit_ros.storage.atomic import atomic_output
     from geoorbit_ros.storage.frames.source import LeftOut
 
-    if not resume:
+    if not (resume or force):
         check_new_folder(out)
     homography, origin = load_calibration(calibration, datum, strict=strict)
     settings = DetectorSettings(min_score, class_names=parse_names(class_names))
@@ -83,7 +85,8 @@ def process(
     options = ImageOptions(fps, duration, start_time, None if strict else LeftOut(), password_file)
     with prepared_run(source, out, options, model, settings, resume=resume) as (images, run):
         job = CameraJob(name, calibration, homography, origin, run, estimator, update_period_s)
-        with EarlyEnd(images, run, out) as early, atomic_output(out, overwrite=resume) as folder:
+        replaced = resume or force
+        with EarlyEnd(images, run, out) as early, atomic_output(out, overwrite=replaced) as folder:
             folder.mkdir()
             job.find_lanes(images, duration, folder / VIDEO if video else None)
             _write_boxes(job, folder)

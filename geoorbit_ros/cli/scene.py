@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from geoorbit_ros.cli.inputs import ForceOption
+
 if TYPE_CHECKING:
     from geoorbit_ros.core.lanes import Lane
     from geoorbit_ros.scenes.simulate import Progress, SceneRun
@@ -35,7 +37,7 @@ def run(
     scene: Annotated[
         str, typer.Argument(help="A scene file, or a shipped scene (geoorbit scene list).")
     ],
-    out: Annotated[Path, typer.Option(help="Folder for the files; must not exist.")],
+    out: Annotated[Path, typer.Option(help="Folder for the files; new or empty.")],
     duration: Annotated[float, typer.Option(help="Seconds that the camera watches.")] = 60.0,
     seed: Annotated[
         int, typer.Option(help="Another seed gives other vehicles and other errors.")
@@ -44,6 +46,7 @@ def run(
         str | None,
         typer.Option(help="Namespace of the camera in the bag; default: the scene's name."),
     ] = None,
+    force: ForceOption = False,
 ) -> None:
     """Let traffic drive past a simulated camera; write what it reports and what is true.
 
@@ -63,11 +66,12 @@ def run(
     from geoorbit_ros.scenes.simulate import simulate
 
     description = load_scene(scene)
-    check_new_folder(out)
+    if not force:
+        check_new_folder(out)
     with _shown_progress() as progress:
         result = simulate(description, duration, seed, progress)
     with status("writing"):
-        write_scene_run(result, out, camera_id)
+        write_scene_run(result, out, camera_id, overwrite=force)
     _print_run(result, out)
 
 
@@ -93,6 +97,7 @@ def render(
     clouds: Annotated[
         float, typer.Option(help="How much the light drifts, as a share of its mean.")
     ] = 0.08,
+    force: ForceOption = False,
 ) -> None:
     """Render a scene: the video that its roadside camera would send.
 
@@ -116,7 +121,7 @@ def render(
     image_size = None if size is None else _image_size(size)
     if out.suffix:
         check_suffix(out)
-    else:
+    elif not force:
         check_new_folder(out)
     with _shown_progress() as progress:
         rendered = render_scene(description, duration, seed, conditions, fps, image_size, progress)
@@ -124,7 +129,7 @@ def render(
             write_video(rendered, out)
             told = ""
         else:
-            files = write_rendered_scene(rendered, out)
+            files = write_rendered_scene(rendered, out, overwrite=force)
             told = f"{files.boxes} true boxes of {files.vehicles} vehicles in "
     _print_lanes(rendered.scene.name, rendered.truth)
     width, height = rendered.image_size

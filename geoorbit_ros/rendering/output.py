@@ -52,7 +52,11 @@ class RenderedFiles:
 
 
 def write_rendered_scene(
-    rendered: RenderedScene, out_dir: str | Path, camera_id: str | None = None
+    rendered: RenderedScene,
+    out_dir: str | Path,
+    camera_id: str | None = None,
+    *,
+    overwrite: bool = False,
 ) -> RenderedFiles:
     """Render a scene into a new folder: all files or none.
 
@@ -60,16 +64,18 @@ def write_rendered_scene(
         rendered: The scene, no frame of it taken yet.
         out_dir: The folder, which must not exist (or be empty).
         camera_id: The camera's name in the truth; default: the scene's.
+        overwrite: Replace a folder that exists.
 
     Raises:
         InputFileError: `out_dir` can't be written, or holds something.
         NoTrafficError: The camera saw no vehicle.
     """
-    check_new_folder(out_dir)
+    if not overwrite:
+        check_new_folder(out_dir)
     stamps: list[int] = []
     tables: list[NDArray[np.void]] = []
     name = rendered.scene.name if camera_id is None else camera_id
-    with atomic_output(out_dir) as folder:
+    with atomic_output(out_dir, overwrite=overwrite) as folder:
         folder.mkdir()
         video = VideoWriter(folder / VIDEO, rendered.fps, rendered.image_size)
         try:

@@ -53,13 +53,16 @@ class SceneFiles:
     network: Path
 
 
-def write_scene_run(run: SceneRun, out_dir: str | Path, camera_id: str | None = None) -> SceneFiles:
+def write_scene_run(
+    run: SceneRun, out_dir: str | Path, camera_id: str | None = None, *, overwrite: bool = False
+) -> SceneFiles:
     """Write a run into a new folder: all files or none.
 
     Args:
         run: The run.
         out_dir: The folder, which must not exist (or be empty).
         camera_id: The camera's namespace in the bag; default: the scene's name.
+        overwrite: Replace a folder that exists.
 
     Raises:
         InputFileError: `out_dir` can't be written, or holds something.
@@ -74,8 +77,9 @@ def write_scene_run(run: SceneRun, out_dir: str | Path, camera_id: str | None = 
             f"no vehicle in {len(run.frames)} frames",
             "a longer duration, or more vehicles per hour where the camera looks",
         )
-    check_new_folder(out_dir)
-    with atomic_output(out_dir) as folder:
+    if not overwrite:
+        check_new_folder(out_dir)
+    with atomic_output(out_dir, overwrite=overwrite) as folder:
         folder.mkdir()
         write_track_bag(folder / BAG, name, run.frames)
         write_track_csv(folder / TRACKS, run.frames)
@@ -107,7 +111,7 @@ def check_new_folder(path: str | Path) -> None:
     folder = Path(path)
     if folder.is_file() or (folder.is_dir() and any(folder.iterdir())):
         found = "a file" if folder.is_file() else "a folder with content"
-        raise InputFileError(str(path), found, "a folder that does not exist yet")
+        raise InputFileError(str(path), found, "a path that does not exist yet (or --force)")
 
 
 def clean_pixels(run: SceneRun) -> Frames:

@@ -25,8 +25,8 @@ def atomic_output(path: str | Path, *, overwrite: bool = False) -> Iterator[Path
 
     Args:
         path: Where the result goes. An existing file is replaced.
-        overwrite: Also replace an existing folder with content; without it that is refused before
-            any work is done.
+        overwrite: Also write into an existing folder with content: what has the same name is
+            replaced, everything else stays. Without it that is refused before any work is done.
 
     Yields:
         The path to write to; nothing exists there yet.
@@ -41,9 +41,8 @@ def atomic_output(path: str | Path, *, overwrite: bool = False) -> Iterator[Path
             yield temporary
         return
     if not overwrite and target.is_dir() and any(target.iterdir()):
-        raise InputFileError(
-            str(path), "a folder with content", "a path that does not exist yet (or remove it)"
-        )
+        expected = "a path that does not exist yet (or --force)"
+        raise InputFileError(str(path), "a folder with content", expected)
     made: list[Path] = []
     try:
         for folder in [*reversed(target.parent.parents), target.parent]:
@@ -60,9 +59,11 @@ def atomic_output(path: str | Path, *, overwrite: bool = False) -> Iterator[Path
     try:
         yield temporary
         _sync(temporary)
-        if temporary.is_dir() != target.is_dir() or (overwrite and target.is_dir()):
-            _move_aside(target, scratch)
-        os.replace(temporary, target)
+        if temporary.is_dir() and target.is_dir():
+            for entry in sorted(temporary.iterdir()):
+                _put(entry, target / entry.name, scratch)
+        else:
+            _put(temporary, target, scratch)
     except BaseException:
         shutil.rmtree(scratch, ignore_errors=True)
         _remove_empty(made)
@@ -93,12 +94,13 @@ def _sync(path: Path) -> None:
             os.fsync(file.fileno())
 
 
-def _move_aside(target: Path, scratch: Path) -> None:
-    """Make room where rename(2) can't replace: it refuses folders with content or mixed kinds."""
-    if target.exists():
+def _put(source: Path, target: Path, scratch: Path) -> None:
+    """Rename; rename(2) refuses to replace folders with content and mixed kinds: those go aside."""
+    if target.is_dir() or (source.is_dir() and target.exists()):
         aside = scratch / "replaced"
-        aside.mkdir()
+        aside.mkdir(exist_ok=True)
         os.replace(target, aside / target.name)
+    os.replace(source, target)
 
 
 def _remove_empty(folders: list[Path]) -> None:

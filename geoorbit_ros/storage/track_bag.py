@@ -84,7 +84,12 @@ class TrackBag:
 
 
 def write_track_bag(
-    path: str | Path, camera_id: str, frames: Frames, storage: Storage = "mcap"
+    path: str | Path,
+    camera_id: str,
+    frames: Frames,
+    storage: Storage = "mcap",
+    *,
+    overwrite: bool = False,
 ) -> None:
     """Write a new bag; frames without rows become empty tables.
 
@@ -93,6 +98,7 @@ def write_track_bag(
         camera_id: The camera's namespace, a ROS name or several with `/` between them.
         frames: Rows of `PIXEL_TRACK_DTYPE`.
         storage: `mcap` is compressed (zstd chunks), a third of the size of `sqlite3`.
+        overwrite: Replace a folder that exists.
 
     Raises:
         InputFileError: `path` can't be written.
@@ -106,7 +112,7 @@ def write_track_bag(
     if not len(frames):
         raise TableError(f"{path}, frames to write", "none", "at least one frame")
     definition = get_typestore(Stores.ROS2_JAZZY)
-    with atomic_output(path) as temporary:
+    with atomic_output(path, overwrite=overwrite) as temporary:
         plugin = StoragePlugin[storage.upper()]
         writer = Writer(temporary, version=_BAG_VERSION, storage_plugin=plugin)
         if plugin is StoragePlugin.MCAP:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from geoorbit_ros.cli.inputs import DatumOption, ImageSizeOption
+from geoorbit_ros.cli.inputs import DatumOption, ForceOption, ImageSizeOption
 from geoorbit_ros.cli.twin.replay import (
     BagsArgument,
     CalibrationsOption,
@@ -34,7 +34,7 @@ WHOLE_RECORDING_S = 1e6
 def forecast(
     bags: BagsArgument,
     net: NetOption,
-    out: Annotated[Path, typer.Option("--out", help="Folder for the results; must not exist.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder for the results; new or empty.")],
     calibration: CalibrationsOption,
     close_lane: Annotated[
         list[str] | None,
@@ -53,6 +53,7 @@ def forecast(
     image_size: ImageSizeOption = "1920x1080",
     datum: DatumOption = None,
     camera_id: CameraIdsOption = None,
+    force: ForceOption = False,
 ) -> None:
     """Run the traffic of a recording ahead: speeds and queues per lane, with and without changes.
 
@@ -69,7 +70,7 @@ def forecast(
     from geoorbit_ros.twin.forecast.runs import ForecastRun
     from geoorbit_ros.twin.scenario import parse_scenario
 
-    with atomic_output(out) as folder:
+    with atomic_output(out, overwrite=force) as folder:
         streams = open_streams(bags, calibration, image_size, datum, camera_id)
         network = load_network(net, streams[0].datum)
         place = "options --close-lane, --speed-limit"

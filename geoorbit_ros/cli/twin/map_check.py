@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from geoorbit_ros.cli.inputs import ForceOption
+
 if TYPE_CHECKING:
     from geoorbit_ros.mapcheck.validation import Validation
 
@@ -14,10 +16,12 @@ LanesArgument = Annotated[Path, typer.Argument(help="Detected lanes: lanes.geojs
 NetOption = Annotated[
     Path, typer.Option("--net", help="SUMO network with a projection (geoorbit map build).")
 ]
-OutOption = Annotated[Path, typer.Option("--out", help="Folder for the results; must not exist.")]
+OutOption = Annotated[Path, typer.Option("--out", help="Folder for the results; new or empty.")]
 
 
-def validate(lanes: LanesArgument, net: NetOption, out: OutOption) -> None:
+def validate(
+    lanes: LanesArgument, net: NetOption, out: OutOption, force: ForceOption = False
+) -> None:
     """Say where a map differs from the lanes that a camera sees vehicles drive along.
 
     First the lanes are laid on the map as a whole, then they are compared: lanes that one of them
@@ -35,7 +39,7 @@ def validate(lanes: LanesArgument, net: NetOption, out: OutOption) -> None:
     from geoorbit_ros.roadnet.network import load_network
     from geoorbit_ros.storage.atomic import atomic_output
 
-    with atomic_output(out) as folder:
+    with atomic_output(out, overwrite=force) as folder:
         file = read_lanes_aloud(lanes)
         network = load_network(net, file.datum)
         found = compare(file.lane_map.lanes, network)
@@ -48,7 +52,7 @@ def validate(lanes: LanesArgument, net: NetOption, out: OutOption) -> None:
     console.print(f" Wrote {out}", soft_wrap=True)
 
 
-def patch(lanes: LanesArgument, net: NetOption, out: OutOption) -> None:
+def patch(lanes: LanesArgument, net: NetOption, out: OutOption, force: ForceOption = False) -> None:
     """Correct a map by the lanes that a camera sees, as far as they differ (twin validate).
 
     Into the folder go network.net.xml, loaded and validated again; patch/ with the plain XML that
@@ -65,7 +69,7 @@ def patch(lanes: LanesArgument, net: NetOption, out: OutOption) -> None:
     from geoorbit_ros.roadnet.network import load_network
     from geoorbit_ros.storage.atomic import atomic_output
 
-    with atomic_output(out) as folder:
+    with atomic_output(out, overwrite=force) as folder:
         file = read_lanes_aloud(lanes)
         network = load_network(net, file.datum)
         folder.mkdir()

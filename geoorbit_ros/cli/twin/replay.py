@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from geoorbit_ros.cli.inputs import DatumOption, ImageSizeOption
+from geoorbit_ros.cli.inputs import DatumOption, ForceOption, ImageSizeOption
 
 if TYPE_CHECKING:
     from geoorbit_ros.cli.twin.side_by_side import BusiestStep
@@ -41,7 +41,7 @@ StepOption = Annotated[
 def replay(
     bags: BagsArgument,
     net: NetOption,
-    out: Annotated[Path, typer.Option("--out", help="Folder for the results; must not exist.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder for the results; new or empty.")],
     calibration: CalibrationsOption,
     image_size: ImageSizeOption = "1920x1080",
     datum: DatumOption = None,
@@ -59,6 +59,7 @@ def replay(
         Path | None,
         typer.Option("--video", help="The first bag's video, for its side-by-side image."),
     ] = None,
+    force: ForceOption = False,
 ) -> None:
     """Let the recorded vehicles drive through a SUMO network, and say how well it followed.
 
@@ -75,7 +76,7 @@ def replay(
     from geoorbit_ros.storage.atomic import atomic_output
     from geoorbit_ros.twin.figures import save_twin_figure
 
-    with atomic_output(out) as folder:
+    with atomic_output(out, overwrite=force) as folder:
         streams = open_streams(bags, calibration, image_size, datum, camera_id)
         network = load_network(net, streams[0].datum)
         said, driven = ["Tracks are where the cameras see them."], None
@@ -287,11 +288,12 @@ def _print_score(score: ReplayScore, streams: list[TrackStream]) -> None:
 def routes(
     bags: BagsArgument,
     net: NetOption,
-    out: Annotated[Path, typer.Option("--out", help="Folder for the files; must not exist.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder for the files; new or empty.")],
     calibration: CalibrationsOption,
     image_size: ImageSizeOption = "1920x1080",
     datum: DatumOption = None,
     camera_id: CameraIdsOption = None,
+    force: ForceOption = False,
 ) -> None:
     """Write the recorded traffic as SUMO's own demand: routes and vehicle types.
 
@@ -310,7 +312,7 @@ def routes(
     from geoorbit_ros.twin.routes import RouteWriter
     from geoorbit_ros.twin.sumo_simulation import SumoSimulation
 
-    with atomic_output(out) as folder:
+    with atomic_output(out, overwrite=force) as folder:
         streams = open_streams(bags, calibration, image_size, datum, camera_id)
         network = load_network(net, streams[0].datum)
         writer = RouteWriter(network)

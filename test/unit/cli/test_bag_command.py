@@ -43,6 +43,24 @@ def test_a_csv_becomes_a_bag_with_the_same_tracks(
         assert part in shown
 
 
+def test_a_folder_with_content_is_written_into_on_demand_alone(
+    camera: CameraFiles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = tmp_path / "bag"
+    assert from_csv(camera, bag) == 0
+    (bag / "notes.txt").write_text("mine")
+    assert from_csv(camera, bag) == 2
+    assert (
+        "a folder with content, expected a path that does not exist yet (or --force)"
+        in " ".join(capsys.readouterr().err.split())
+    )
+    words = ["--tracks", str(camera.tracks), "--calibration", str(camera.calibration)]
+    words += ["--camera-id", "south", "--out", str(bag), "--force"]
+    assert main(["bag", "from-csv", *words]) == 0
+    assert read_track_bag(bag).camera_id == "south"
+    assert (bag / "notes.txt").read_text() == "mine"
+
+
 WRONG: list[tuple[str, str, str, str]] = [
     ("tracks", "", "", "input.csv: found no such file"),
     ("tracks", "id,time,frame_num,class,conf,x,y,w,h", "1,0,0,2,1,nan,2,3,4", "line 2: x nan"),

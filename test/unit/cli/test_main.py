@@ -70,6 +70,8 @@ def test_every_command_teaches_with_an_example(
     text = " ".join(capsys.readouterr().out.split())
     assert "Example" in text
     assert f"geoorbit {' '.join(words)}" in text
+    if "new or empty" in text:
+        assert "--force" in text or "--replace" in text
 
 
 def test_help_loads_nothing_heavy() -> None:

@@ -118,7 +118,7 @@ def test_what_is_there_is_never_replaced(run: SceneRun, tmp_path: Path) -> None:
     kept = tmp_path / "kept"
     kept.write_text("mine")
     for there in (tmp_path, kept):
-        with pytest.raises(InputFileError, match="expected a folder that does not exist yet"):
+        with pytest.raises(InputFileError, match="expected a path that does not exist yet"):
             write_scene_run(run, there)
     assert kept.read_text() == "mine"
 

@@ -62,17 +62,23 @@ def test_a_folder_with_content_is_refused_before_any_work(tmp_path: Path) -> Non
     assert (tmp_path / "out" / "precious").read_text() == "old"
 
 
-def test_a_folder_is_replaced_on_demand_and_kept_on_failure(tmp_path: Path) -> None:
+def test_on_demand_a_folder_is_written_into_and_nothing_of_another_name_is_lost(
+    tmp_path: Path,
+) -> None:
     out = tmp_path / "out"
-    out.mkdir()
-    (out / "old").write_text("old")
+    (out / "sub").mkdir(parents=True)
+    for name in ("a recording", "part", "sub/old"):
+        (out / name).write_text("old")
     with pytest.raises(RuntimeError):
         write_half(out, folder=True, overwrite=True)
-    assert [path.name for path in out.iterdir()] == ["old"]
+    assert (out / "part").read_text() == "old"
     with atomic_output(out, overwrite=True) as temporary:
-        temporary.mkdir()
-        (temporary / "new").write_text("new")
-    assert [path.name for path in out.iterdir()] == ["new"]
+        (temporary / "sub").mkdir(parents=True)
+        for name in ("part", "sub/new"):
+            (temporary / name).write_text("new")
+    assert (out / "a recording").read_text() == "old"
+    assert (out / "part").read_text() == "new"
+    assert [path.name for path in (out / "sub").iterdir()] == ["new"]
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
