@@ -83,6 +83,27 @@ def fleet(tmp_path: Path) -> Iterator[Fleet]:
             process.wait()
 
 
+def test_a_second_node_of_one_name_says_who_is_there_and_ends(fleet: Fleet) -> None:
+    fleet.start("tracker")
+    fleet.until(lambda: "/north/tracker" in fleet.status, "the first tracker")
+    first = fleet.processes.pop("tracker")
+    fleet.start("tracker")
+    assert fleet.processes.pop("tracker").wait(LIMIT_S) == 2
+    said = fleet.log("tracker")
+    domain = fleet.nodes.domain_id
+    assert f"node '/north/tracker' of domain {domain}: found in use by process {first.pid}" in said
+    assert first.poll() is None
+    fleet.start("tracker", namespace="/south")
+    fleet.processes["first"] = first
+    fleet.until(lambda: "/south/tracker" in fleet.status, "a tracker of another camera")
+    first.kill()  # whatever way it ends, its name is free
+    assert fleet.processes.pop("first").wait(LIMIT_S) == -signal.SIGKILL
+    fleet.stop("tracker", signal.SIGTERM)
+    fleet.status.clear()
+    fleet.start("tracker")
+    fleet.until(lambda: "/north/tracker" in fleet.status, "a tracker again")
+
+
 def test_four_processes_give_the_bytes_of_the_offline_command(
     fleet: Fleet, camera: MadeUpCamera, tmp_path: Path
 ) -> None:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import gc
+import os
 import signal
 import sys
+import tempfile
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack, nullcontext
+from pathlib import Path
 from typing import Any
 
 import rclpy
@@ -19,6 +22,7 @@ from geoorbit_ros.core.addresses import masked_text
 from geoorbit_ros.core.errors import GeoOrbitError, ParameterError
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.parameters import parameter_help
+from geoorbit_ros.storage.ownership import Ownership
 
 SPIN_TIMEOUT_S = 0.2
 """How long a signal may go unnoticed at most. Chosen: larger, a node ends later; smaller, an idle
@@ -115,6 +119,23 @@ def _make(
         nodes.append(node := make())
         stack.callback(node.destroy_node)
         stack.callback(node.close)
+        stack.enter_context(_name_claimed(node))
+
+
+def _name_claimed(node: GeoOrbitNode[Any]) -> AbstractContextManager[object]:
+    """Hold a node's name in its domain on this machine: two of one name mix their messages.
+
+    Raises:
+        InputFileError: A node of that name runs already.
+    """
+    name, domain_id = node.get_fully_qualified_name(), node.context.get_domain_id()
+    folder = Path(tempfile.gettempdir()) / f"geoorbit-{os.getuid()}" / f"domain-{domain_id}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:  # a machine without a writable folder for this: nobody can be told
+        return nullcontext()
+    lock = folder / f"{name.strip('/').replace('/', '.')}.lock"
+    return Ownership(lock, f"node '{name}' of domain {domain_id}")
 
 
 def _spin(nodes: Sequence[GeoOrbitNode[Any]], go_on: Callable[[], bool]) -> None:
