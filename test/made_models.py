@@ -18,13 +18,21 @@ def save_model(
     output_shapes: dict[str, list[int | str] | None],
     metadata: dict[str, object] | None,
     half: bool = False,
+    whole: tuple[int, ...] = (),
+    sizes: str = "",
 ) -> Path:
     kind = TensorProto.FLOAT16 if half else TensorProto.FLOAT
     graph = helper.make_graph(
         nodes,
         "made",
-        [helper.make_tensor_value_info("images", kind, input_shape)],
-        [helper.make_tensor_value_info(n, kind, s) for n, s in output_shapes.items()],
+        [
+            helper.make_tensor_value_info("images", kind, input_shape),
+            *(helper.make_tensor_value_info(n, TensorProto.INT64, ["N", 2]) for n in sizes.split()),
+        ],
+        [
+            helper.make_tensor_value_info(n, TensorProto.INT64 if k in whole else kind, s)
+            for k, (n, s) in enumerate(output_shapes.items())
+        ],
         [numpy_helper.from_array(value, name) for name, value in constants.items()],
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)])
@@ -43,8 +51,12 @@ def constant_model(
     batch: int | str = 1,
     dynamic_size: bool = False,
     half: bool = False,
+    whole: tuple[int, ...] = (),
 ) -> Path:
-    """Writes `outputs`, each (A, …), for every image of a batch, whatever is on it."""
+    """Writes `outputs`, each (A, …), for every image of a batch, whatever is on it.
+
+    Those named in `whole` are written as int64.
+    """
     dtype = np.float16 if half else np.float32
     width, height = canvas
     size: list[int | str] = ["height", "width"] if dynamic_size else [height, width]
@@ -57,11 +69,14 @@ def constant_model(
         constants[f"axes{k}"] = np.arange(1, output.ndim + 1)
         constants[f"constant{k}"] = output[None].astype(dtype)
         nodes.append(helper.make_node("Unsqueeze", ["nothing", f"axes{k}"], [f"shaped{k}"]))
-        nodes.append(helper.make_node("Add", [f"shaped{k}", f"constant{k}"], [f"output{k}"]))
+        made = f"float{k}" if k in whole else f"output{k}"
+        nodes.append(helper.make_node("Add", [f"shaped{k}", f"constant{k}"], [made]))
+        if k in whole:
+            nodes.append(helper.make_node("Cast", [made], [f"output{k}"], to=TensorProto.INT64))
     shapes: dict[str, list[int | str] | None] = {
         f"output{k}": [batch, *output.shape] for k, output in enumerate(outputs)
     }
-    return save_model(path, nodes, constants, [batch, 3, *size], shapes, metadata, half)
+    return save_model(path, nodes, constants, [batch, 3, *size], shapes, metadata, half, whole)
 
 
 def red_finder(

@@ -67,8 +67,7 @@ def add(
     from geoorbit_ros.storage.atomic import atomic_output
     from geoorbit_ros.storage.frames.source import LeftOut
 
-    if not replace:
-        check_new_folder(out)
+    check_new_folder(out, overwrite=replace)
     check_new_camera(fleet, camera_id, replace=replace)
     plane = load_calibration(calibration, datum, strict=strict)
     watched = ImageOptions(None, duration, "", LeftOut(), password_file)

@@ -77,16 +77,15 @@ def process(
     from geoorbit_ros.storage.atomic import atomic_output
     from geoorbit_ros.storage.frames.source import LeftOut
 
-    if not (resume or force):
-        check_new_folder(out)
+    again = resume or force
+    check_new_folder(out, overwrite=again)
     homography, origin = load_calibration(calibration, datum, strict=strict)
     settings = DetectorSettings(min_score, class_names=parse_names(class_names))
-    name = camera_id or _name(source)
     options = ImageOptions(fps, duration, start_time, None if strict else LeftOut(), password_file)
     with prepared_run(source, out, options, model, settings, resume=resume) as (images, run):
+        name = camera_id or _name(source)
         job = CameraJob(name, calibration, homography, origin, run, estimator, update_period_s)
-        replaced = resume or force
-        with EarlyEnd(images, run, out) as early, atomic_output(out, overwrite=replaced) as folder:
+        with EarlyEnd(images, run, out) as early, atomic_output(out, overwrite=again) as folder:
             folder.mkdir()
             job.find_lanes(images, duration, folder / VIDEO if video else None)
             _write_boxes(job, folder)

@@ -66,8 +66,7 @@ def run(
     from geoorbit_ros.scenes.simulate import simulate
 
     description = load_scene(scene)
-    if not force:
-        check_new_folder(out)
+    check_new_folder(out, overwrite=force)
     with _shown_progress() as progress:
         result = simulate(description, duration, seed, progress)
     with status("writing"):
@@ -119,10 +118,7 @@ def render(
     description = load_scene(scene)
     conditions = Conditions(light.value, rain, shake, clouds)
     image_size = None if size is None else _image_size(size)
-    if out.suffix:
-        check_suffix(out)
-    elif not force:
-        check_new_folder(out)
+    check_suffix(out) if out.suffix else check_new_folder(out, overwrite=force)
     with _shown_progress() as progress:
         rendered = render_scene(description, duration, seed, conditions, fps, image_size, progress)
         if is_video(out):

@@ -27,6 +27,10 @@ _COCO = (
     "toothbrush"
 )
 COCO_NAMES = tuple(_COCO.split(","))
+_NO_COCO = (0, 12, 26, 29, 30, 45, 66, 68, 69, 71, 83)
+"""Numbers from 0 to 90 that the data set has no class for."""
+COCO_91 = dict(zip((k for k in range(91) if k not in _NO_COCO), COCO_NAMES, strict=True))
+"""The same by the numbers of the data set's files, as torchvision and DETR models write them."""
 
 
 def vehicle_class(name: str) -> int | None:

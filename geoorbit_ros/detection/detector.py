@@ -38,8 +38,9 @@ class DetectorSettings:
 
     Attributes:
         min_score: Boxes that score less are dropped.
-        max_iou: Of two boxes of one class that overlap more than this, the lesser goes.
-        any_class: Whether boxes of different classes suppress each other too.
+        max_iou: Of two boxes that overlap more than this, the lesser goes.
+        any_class: Whether boxes of different classes suppress each other too, as detectors give a
+            van a second box as a truck.
         class_names: Names of the model's classes; empty takes those in the file.
         providers: onnxruntime's execution providers, best first; empty takes the best there is.
         threads: Threads within one operator on the CPU; 0 leaves it to onnxruntime.
@@ -48,7 +49,7 @@ class DetectorSettings:
 
     min_score: float = 0.25
     max_iou: float = 0.7
-    any_class: bool = False
+    any_class: bool = True
     class_names: tuple[str, ...] = ()
     providers: tuple[str, ...] = ()
     threads: int = 0

@@ -12,7 +12,7 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.exchange.provenance import file_facts, lane_facts
+from geoorbit_ros.exchange import file_facts, lane_facts
 from geoorbit_ros.lanes.geojson import LaneFile
 
 DECIMALS = 11

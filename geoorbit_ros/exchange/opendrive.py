@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.lanes import Lane
-from geoorbit_ros.exchange.provenance import file_facts, lane_facts
+from geoorbit_ros.exchange import file_facts, lane_facts
 from geoorbit_ros.lanes.geojson import LaneFile
 
 REVISION = ("1", "4")

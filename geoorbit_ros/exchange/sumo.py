@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.polylines import project, sample
-from geoorbit_ros.exchange.provenance import file_facts, lane_facts
+from geoorbit_ros.exchange import file_facts, lane_facts
 from geoorbit_ros.lanes.geojson import LaneFile
 from geoorbit_ros.roadnet.driving_side import Side
 from geoorbit_ros.roadnet.netconvert import netconvert

@@ -70,8 +70,7 @@ def write_rendered_scene(
         InputFileError: `out_dir` can't be written, or holds something.
         NoTrafficError: The camera saw no vehicle.
     """
-    if not overwrite:
-        check_new_folder(out_dir)
+    check_new_folder(out_dir, overwrite=overwrite)
     stamps: list[int] = []
     tables: list[NDArray[np.void]] = []
     name = rendered.scene.name if camera_id is None else camera_id

@@ -77,8 +77,7 @@ def write_scene_run(
             f"no vehicle in {len(run.frames)} frames",
             "a longer duration, or more vehicles per hour where the camera looks",
         )
-    if not overwrite:
-        check_new_folder(out_dir)
+    check_new_folder(out_dir, overwrite=overwrite)
     with atomic_output(out_dir, overwrite=overwrite) as folder:
         folder.mkdir()
         write_track_bag(folder / BAG, name, run.frames)
@@ -102,14 +101,14 @@ def write_scene_run(
     return SceneFiles(*(there / file for file in names))
 
 
-def check_new_folder(path: str | Path) -> None:
-    """Refuse a folder with content, or a file, before any work is done.
+def check_new_folder(path: str | Path, *, overwrite: bool = False) -> None:
+    """Refuse a folder with content, or a file, before any work is done; unless told to overwrite.
 
     Raises:
         InputFileError: It is there already.
     """
     folder = Path(path)
-    if folder.is_file() or (folder.is_dir() and any(folder.iterdir())):
+    if not overwrite and (folder.is_file() or (folder.is_dir() and any(folder.iterdir()))):
         found = "a file" if folder.is_file() else "a folder with content"
         raise InputFileError(str(path), found, "a path that does not exist yet (or --force)")
 

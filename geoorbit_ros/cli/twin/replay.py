@@ -78,7 +78,7 @@ def replay(
 
     with atomic_output(out, overwrite=force) as folder:
         streams = open_streams(bags, calibration, image_size, datum, camera_id)
-        network = load_network(net, streams[0].datum)
+        network, pixels = load_network(net, streams[0].datum), parse_image_size(image_size)
         said, driven = ["Tracks are where the cameras see them."], None
         if align:
             streams, check, said = align_streams(streams, network)
@@ -87,12 +87,11 @@ def replay(
         run = _drive(streams, network, step_s, folder / "vehicles.csv", driven)
         _check_traffic(run.score, str(net))
         _write_score(folder / "score.json", run.score, streams, driven)
-        seconds = run.score.health.steps * step_s
-        title = f"{run.score.vehicles} vehicles in {seconds:.0f} s on {net.name}"
+        lasted_s = run.score.health.steps * step_s
+        title = f"{run.score.vehicles} vehicles in {lasted_s:.0f} s on {net.name}"
         save_twin_figure(folder / "twin.png", network, run.paths, title)
-        size = parse_image_size(image_size)
         said += save_all_side_by_side(
-            folder, network, run.busiest.step, streams, bags, calibration, size, video
+            folder, network, run.busiest.step, streams, bags, calibration, pixels, video
         )
     _print_score(run.score, streams)
     for sentence in (*said, *run.score.reserved.sentences()):

@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.core.class_names import COCO_NAMES
+from geoorbit_ros.core.class_names import COCO_91, COCO_NAMES
 from geoorbit_ros.detection.detector import ModelError
 from geoorbit_ros.detection.onnx.layouts import (
     GRID_STRIDES,
@@ -30,6 +30,7 @@ from geoorbit_ros.detection.onnx.layouts import (
     TransposedLayout,
     cell_count,
 )
+from geoorbit_ros.detection.onnx.outputs import BoxOutputs, find_boxes
 from geoorbit_ros.detection.onnx.session import OnnxMetadata
 
 _TOLERANCE = 1e-3
@@ -175,8 +176,8 @@ def _in_shares(box: NDArray[np.float32]) -> bool:
 
 KNOWN = (
     "one output 1x(4+classes)xN (YOLOv8, 11, 12), 1xNx6 (YOLO26, YOLOv10, exports with NMS), "
-    "1xNx(5+classes) with one box per grid cell (YOLOX, YOLOv6) or three (YOLOv5, YOLOv7), or "
-    "1xNx(4+classes) (RT-DETR)"
+    "1xNx(5+classes) with one box per grid cell (YOLOX, YOLOv6) or three (YOLOv5, YOLOv7), "
+    "1xNx(4+classes) (RT-DETR), or boxes beside classes and scores (D-FINE, torchvision, RF-DETR)"
 )
 
 
@@ -196,8 +197,8 @@ def choose_layout(
     metadata: OnnxMetadata,
     names: Mapping[int, str],
     place: str,
-) -> tuple[Layout, Mapping[int, str], int]:
-    """Layout, class names and number of classes of a model.
+) -> tuple[BoxOutputs, Layout, Mapping[int, str], int]:
+    """Box outputs, layout, class names and number of classes of a model.
 
     Args:
         outputs: What the model wrote for one grey canvas.
@@ -212,24 +213,28 @@ def choose_layout(
     seen = ", ".join("x".join(map(str, output.shape)) for output in outputs) or "no output"
     said = f"{_plural(len(outputs), 'output')} {seen} for an input of {canvas[0]}x{canvas[1]}"
     refusal = ModelError(place, said, KNOWN)
-    # Feature maps beside the boxes, as older exports of YOLOv5 have them, are not needed.
-    used = [output for output in outputs if output.ndim < 5]
-    if len(used) != 1 or used[0].ndim not in (2, 3) or used[0].dtype.kind != "f":
+    where = find_boxes(outputs)
+    if where is None:
         raise refusal
-    output = used[0] if used[0].ndim == 2 else used[0][0]
+    table = np.asarray(where.of(outputs), np.float32)
+    output = table if table.ndim == 2 else table[0]
     names = names or metadata.names
-    layout, count = _Choice(output, canvas, metadata, len(names), place).layout()
-    if layout is None or (used[0].ndim == 2 and not isinstance(layout, TableLayout)):
+    apart = len(where.parts) == 2
+    layout, count = _Choice(output, canvas, metadata, len(names), place, apart).layout()
+    if layout is None or (table.ndim == 2 and not isinstance(layout, TableLayout)):
         raise refusal
+    if not names and (count in _COCO_91 or (len(where.parts) == 3 and table.ndim == 2)):
+        # torchvision and DETR count the classes as the data set's files do.
+        names = COCO_91
     if not names and count in (0, len(COCO_NAMES)):
         # Files without metadata have the 80 classes of COCO, unless the user names others.
         names = dict(enumerate(COCO_NAMES))
     if not names:
         expected = "metadata 'names' in the file, or the option class_names"
         raise ModelError(place, f"{count} classes without names", expected)
-    if count and len(names) != count:
+    if count and len(names) != count and names is not COCO_91:
         raise ModelError(place, f"{len(names)} class names", f"{count}, as its output {seen} says")
-    return layout, names, count or max(names) + 1
+    return where, layout, names, count or max(names) + 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,6 +246,7 @@ class _Choice:
     metadata: OnnxMetadata
     named: int
     place: str
+    apart: bool
 
     def layout(self) -> tuple[Layout | None, int]:
         """The layout, None when it is none; its number of classes, 0 when it can't say."""
@@ -248,20 +254,23 @@ class _Choice:
         for strides in GRID_STRIDES:
             cells = cell_count(self.canvas, strides)
             if b == cells and a > 4 and not self.metadata.end2end:
-                self._check_scores(self.output[4:])
-                return RawLayout(), a - 4
+                return RawLayout(self._are_logits(self.output[4:])), a - 4
             if a == cells and (found := self._per_cell(strides)):
                 return found
             if a == 3 * cells and b > 6:
                 return self._per_anchor(strides)
-        if b in (6, 7):
+        if b in (6, 7) and not self.apart:
             tell = partial(_known_meaning, named=self.named, canvas=self.canvas, place=self.place)
             suppressed = bool(self.metadata.end2end)
             return TableLayout(tell, tell(self.output), self.named, suppressed, self.place), 0
         in_shares = 0.0 < np.abs(np.nan_to_num(self.output[:, :4])).max(initial=0.0) <= _MOST_SHARE
-        if b > 4 and in_shares and b - 4 == (self.named or len(COCO_NAMES)):
+        classes = (self.named,) if self.named else (len(COCO_NAMES), *_COCO_91)
+        if b > 4 and in_shares and b - 4 in (*classes, self.named + 1 if self.apart else 0):
             scores = self.output[:, 4:]
-            return TransformerLayout(bool(scores.min() < 0.0 or scores.max() > 1.0)), b - 4
+            logits = bool(scores.min() < 0.0 or scores.max() > 1.0)
+            # One class more than there are is that of no object (Carion et al. 2020, DETR).
+            softmax = self.apart and logits and b - 4 == (self.named or max(_COCO_91) - 1) + 1
+            return TransformerLayout(logits, softmax), b - 4 - softmax
         return None, 0
 
     def _per_cell(self, strides: tuple[int, ...]) -> tuple[Layout, int] | None:
@@ -272,8 +281,7 @@ class _Choice:
         if b == 6 and self.named in (1, 2):
             pair = _meaning_or_none(self.output, self.named, self.canvas)
         if b > 4 and b - 4 == known and (b != 6 or (pair is not None and pair.second >= 0)):
-            self._check_scores(self.output[:, 4:])
-            return TransposedLayout(), b - 4
+            return TransposedLayout(self._are_logits(self.output[:, 4:].T)), b - 4
         if b <= 5 or self.metadata.task is not None or (b == 6 and self.named != 1):
             return None
         if pair is not None and pair.second < 0:
@@ -294,16 +302,26 @@ class _Choice:
         name = "anchors 1xNx(5+classes)"
         return GridLayout(strides, True, True, shares, name), self.output.shape[1] - 5
 
-    def _check_scores(self, scores: NDArray[np.float32]) -> None:
-        """Refuse what has other numbers than scores where scores should be."""
+    def _are_logits(self, scores: NDArray[np.float32]) -> bool:
+        """Whether scores (classes, N) lack the sigmoid; refuses what are no scores at all."""
         known = scores[np.isfinite(scores)]
         if known.size and (known.min() < -_SLACK or known.max() > 1.0 + _SLACK):
+            # On a grey canvas there is nothing: most cells say so of every class.
+            if np.isfinite(scores).all() and (np.median(scores, axis=1) < _NOTHING_LOGIT).all():
+                return True
             shape = "x".join(map(str, self.output.shape))
             found = f"1x{shape} with values from {known.min():.3g} to {known.max():.3g}"
             expected = "class scores from 0 to 1 after the box: no poses, masks or rotated boxes"
             raise ModelError(self.place, f"{found} behind the box", expected)
+        return False
 
 
+_COCO_91 = (91, 92)
+"""Numbers of classes of models that count COCO's as its files do, the second with that of no
+object."""
+_NOTHING_LOGIT = -1.5
+"""Log-odds of no vehicle in a cell without one, or less. Chosen: a share of 0.18; trained models
+write -4 and less, while angles, key points and coefficients of masks are around 0 or positive."""
 _SLACK = 1e-2
 """By which a score may miss its bounds. Chosen: what half precision and quantised models miss."""
 

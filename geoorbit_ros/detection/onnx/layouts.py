@@ -61,8 +61,13 @@ class Layout(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class RawLayout:
-    """(4 + classes, N): centre, size, class scores (YOLOv8, 11, 12)."""
+    """(4 + classes, N): centre, size, class scores (YOLOv8, 11, 12).
 
+    Attributes:
+        logits: Whether scores lack the sigmoid.
+    """
+
+    logits: bool = False
     name: str = "raw 1x(4+classes)xN"
     suppressed: bool = False
 
@@ -76,17 +81,20 @@ class RawLayout:
         """See `Layout`."""
         scores = output[4:]
         # A few rows decide which columns to look at; only there all classes are compared.
-        near = np.flatnonzero(scores[wanted].max(axis=0) > min_score)
+        least = _logit(min_score) if self.logits else min_score
+        near = np.flatnonzero(scores[wanted].max(axis=0) > least)
         best = np.asarray(scores[:, near].argmax(axis=0), dtype=np.int64)
         ours = np.isin(best, wanted)
         near, best = near[ours], best[ours]
-        return Candidates(_corners(output[:4, near].T), scores[best, near], best)
+        score = _sigmoid(scores[best, near]) if self.logits else scores[best, near]
+        return Candidates(_corners(output[:4, near].T), score, best)
 
 
 @dataclass(frozen=True, slots=True)
 class TransposedLayout:
     """(N, 4 + classes): as `RawLayout` with rows and columns exchanged."""
 
+    logits: bool = False
     name: str = "raw 1xNx(4+classes)"
     suppressed: bool = False
 
@@ -98,7 +106,7 @@ class TransposedLayout:
         min_score: float,
     ) -> Candidates:
         """See `Layout`."""
-        return RawLayout().candidates(output.T, canvas, wanted, min_score)
+        return RawLayout(self.logits).candidates(output.T, canvas, wanted, min_score)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,9 +115,11 @@ class TransformerLayout:
 
     Attributes:
         logits: Whether scores lack the sigmoid.
+        softmax: Whether they lack the softmax instead, with a last class of no object.
     """
 
     logits: bool
+    softmax: bool = False
     name: str = "transformer 1xNx(4+classes)"
     suppressed: bool = True
 
@@ -123,7 +133,11 @@ class TransformerLayout:
         """See `Layout`."""
         scaled = output.copy()
         scaled[:, :4] *= np.array([*canvas, *canvas], np.float32)
-        if self.logits:
+        if self.softmax:
+            power = np.exp(scaled[:, 4:] - scaled[:, 4:].max(axis=1, keepdims=True))
+            scaled = np.concatenate([scaled[:, :4], power / power.sum(axis=1, keepdims=True)], 1)
+            scaled = scaled[:, :-1]
+        elif self.logits:
             scaled[:, 4:] = _sigmoid(scaled[:, 4:])
         return RawLayout().candidates(scaled.T, canvas, wanted, min_score)
 
@@ -325,6 +339,12 @@ def _corners(boxes: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def _sigmoid(values: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(1.0 / (1.0 + np.exp(-np.clip(values, -50.0, 50.0))), np.float32)
+
+
+def _logit(share: float) -> float:
+    """Log-odds; 0 and 1 as what half precision can tell from them."""
+    inside = min(max(share, 1e-4), 1.0 - 1e-4)
+    return float(np.log(inside / (1.0 - inside)))
 
 
 _NOTHING = Candidates(np.empty((0, 4), np.float32), np.empty(0, np.float32), np.empty(0, np.int64))

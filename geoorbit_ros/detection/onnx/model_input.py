@@ -13,27 +13,30 @@ from geoorbit_ros.detection.detector import Image
 
 GREY = 114
 """Value of the border in every channel: that of the predictors of Ultralytics and YOLOX."""
+_MEAN = np.array([0.485, 0.456, 0.406], np.float32)[:, None, None]
+_DEVIATION = np.array([0.229, 0.224, 0.225], np.float32)[:, None, None]
+"""Of ImageNet's samples from 0 to 1, red first: what torchvision's backbones are trained with."""
 _HALF_TIE = 0.1
 """Keeps half pixels from being rounded to even: an odd rest goes to the right and to the bottom."""
 
 
 @dataclass(frozen=True, slots=True)
 class Letterbox:
-    """An image scaled by one factor into a canvas, the rest of it grey.
+    """An image scaled into a canvas, the rest of it grey.
 
     Attributes:
         image_size: Width and height of the image.
         scaled_size: Width and height of its copy in the canvas.
         offset: Left and top border in the canvas.
         canvas_size: Width and height of the canvas.
-        gain: Canvas pixels per image pixel.
+        gain: Canvas pixels per image pixel, right and down.
     """
 
     image_size: tuple[int, int]
     scaled_size: tuple[int, int]
     offset: tuple[int, int]
     canvas_size: tuple[int, int]
-    gain: float
+    gain: tuple[float, float]
 
     def scaled(self, image: Image) -> Image:
         """`image`, whose size is `image_size`, at its size in the canvas."""
@@ -44,8 +47,8 @@ class Letterbox:
 
     def to_image(self, boxes: NDArray[np.floating]) -> NDArray[np.float64]:
         """Boxes (N, 4) left, top, right, bottom from canvas pixels to image pixels."""
-        left, top = self.offset
-        return np.asarray((boxes - np.array([left, top, left, top], dtype=np.float64)) / self.gain)
+        offset, gain = np.array(self.offset * 2, dtype=np.float64), np.array(self.gain * 2)
+        return np.asarray((boxes - offset) / gain)
 
 
 def centred(image_size: tuple[int, int], canvas: tuple[int, int], stride: int = 0) -> Letterbox:
@@ -68,7 +71,7 @@ def centred(image_size: tuple[int, int], canvas: tuple[int, int], stride: int = 
         spare = (spare[0] % stride, spare[1] % stride)
     offset = (round(spare[0] / 2 - _HALF_TIE), round(spare[1] / 2 - _HALF_TIE))
     full = (scaled[0] + spare[0], scaled[1] + spare[1])
-    return Letterbox(image_size, scaled, offset, full, gain)
+    return Letterbox(image_size, scaled, offset, full, (gain, gain))
 
 
 def cornered(image_size: tuple[int, int], canvas: tuple[int, int]) -> Letterbox:
@@ -76,7 +79,13 @@ def cornered(image_size: tuple[int, int], canvas: tuple[int, int]) -> Letterbox:
     width, height = image_size
     gain = min(canvas[0] / width, canvas[1] / height)
     scaled = (max(int(width * gain), 1), max(int(height * gain), 1))
-    return Letterbox(image_size, scaled, (0, 0), canvas, gain)
+    return Letterbox(image_size, scaled, (0, 0), canvas, (gain, gain))
+
+
+def stretched(image_size: tuple[int, int], canvas: tuple[int, int]) -> Letterbox:
+    """The image over the whole canvas, whatever its shape: RT-DETR, D-FINE, RF-DETR."""
+    gain = (canvas[0] / image_size[0], canvas[1] / image_size[1])
+    return Letterbox(image_size, canvas, (0, 0), canvas, gain)
 
 
 class ModelInput:
@@ -87,16 +96,23 @@ class ModelInput:
         batch: Images per run that the model asks for; 0 when it takes any number.
         scale: Factor on samples from 0 to 255; bytes keep these.
         swap: Whether the model reads red first; images are blue first.
+        normalised: Whether it reads deviations from the mean of ImageNet instead.
     """
 
-    def __init__(self, dtype: type[np.number], batch: int, *, scale: float, swap: bool) -> None:
+    def __init__(
+        self,
+        dtype: type[np.number],
+        batch: int,
+        *,
+        scale: float,
+        swap: bool,
+        normalised: bool = False,
+    ) -> None:
         bytes_ = dtype is np.uint8
         self._scale = np.uint8(1) if bytes_ else np.float32(scale)
-        self._batch, self._swap, self._grey = (
-            batch,
-            swap,
-            self._scale * (GREY if bytes_ else np.float32(GREY)),
-        )
+        self._batch, self._swap = batch, swap
+        self._normalised = normalised and not bytes_
+        self._grey = self._scale * (GREY if bytes_ else np.float32(GREY))
         self._tensor = np.zeros((0, 3, 0, 0), dtype=dtype)
         self._drawn: list[Letterbox | None] = []
         self._planes: list[NDArray[np.uint8]] = []
@@ -122,6 +138,9 @@ class ModelInput:
         canvas, before = self._tensor[number], self._drawn[number]
         if before is None or (before.offset, before.scaled_size) != (box.offset, box.scaled_size):
             canvas[...] = self._grey
+            if self._normalised:
+                canvas -= _MEAN
+                canvas /= _DEVIATION
         self._drawn[number] = box
         (left, top), (width, height) = box.offset, box.scaled_size
         inner = canvas[:, top : top + height, left : left + width]
@@ -131,3 +150,6 @@ class ModelInput:
         cv2.split(box.scaled(image), self._planes)
         for channel, plane in enumerate(reversed(self._planes) if self._swap else self._planes):
             np.multiply(plane, self._scale, out=inner[channel], casting="same_kind")
+        if self._normalised:
+            inner -= _MEAN
+            inner /= _DEVIATION

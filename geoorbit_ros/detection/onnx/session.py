@@ -35,7 +35,7 @@ _DEFAULT_SIDE_PX = 640
 export`."""
 _ERRORS_ONLY = 3
 """onnxruntime's log level for errors and worse."""
-_DETECT = "detect"
+_TASKS = ("detect", "segment")
 _DEFAULT_STRIDE = 32
 """Inputs are multiples of this where the file doesn't say: the stride of all YOLO models without
 P6."""
@@ -46,7 +46,7 @@ class OnnxMetadata:
     """The entries that Ultralytics' exporter writes; other exporters leave them out.
 
     Attributes:
-        task: `detect`; None when the file does not say.
+        task: `detect` or `segment`; None when the file does not say.
         names: Name of each class; empty when the file does not say.
         stride: Sizes of the input are multiples of it.
         canvas: Width and height of the input; None when the file does not say.
@@ -69,8 +69,8 @@ def parse_metadata(entries: Mapping[str, str], place: str) -> OnnxMetadata:
         ModelError: A task that finds no boxes, or an entry that can't be read.
     """
     task = entries.get("task")
-    if task is not None and task != _DETECT:
-        raise ModelError(place, f"a model for the task '{task}'", f"one for the task '{_DETECT}'")
+    if task is not None and task not in _TASKS:
+        raise ModelError(place, f"a model for the task '{task}'", "one for the task 'detect'")
     names = _value(entries, "names", place, {})
     if isinstance(names, list | tuple):
         names = dict(enumerate(names))
@@ -119,7 +119,8 @@ class OnnxSession:
     Attributes:
         place: Its file, for errors.
         session: The onnxruntime session.
-        input_name: Of its only input.
+        input_name: Of its image.
+        size_name: Of the input that is told the size in which boxes are wanted; empty: none.
         metadata: What the file says about itself.
         canvas: Width and height of its input, at most where `metadata.dynamic`.
         batch: Images per run; 0 when any number is taken.
@@ -130,6 +131,7 @@ class OnnxSession:
     place: str
     session: onnxruntime.InferenceSession
     input_name: str
+    size_name: str
     metadata: OnnxMetadata
     canvas: tuple[int, int]
     batch: int
@@ -142,10 +144,14 @@ class OnnxSession:
         Raises:
             ModelError: The model fails on it.
         """
+        size = tensor.shape[3], tensor.shape[2]
         if self.channels_last:
             tensor = np.ascontiguousarray(tensor.transpose(0, 2, 3, 1))
         try:
-            outputs = self.session.run(None, {self.input_name: tensor})
+            given = {self.input_name: tensor}
+            if self.size_name:  # Boxes are wanted in the canvas, as from other models.
+                given[self.size_name] = np.array([size] * len(tensor), np.int64)
+            outputs = self.session.run(None, given)
         except Exception as error:  # onnxruntime's classes share no other base
             found = f"a failure on an input of {'x'.join(map(str, tensor.shape))}: {_first(error)}"
             raise ModelError(self.place, found, "a model that runs on its own input") from None
@@ -182,10 +188,12 @@ def load_session(path: Path, providers: Sequence[str] = (), threads: int = 0) ->
         found = f"{path.stat().st_size} bytes that onnxruntime can't load ({_first(error)})"
         raise ModelError(place, found, "a whole ONNX model (yolo export format=onnx)") from None
     metadata = parse_metadata(session.get_modelmeta().custom_metadata_map, place)
-    inputs = session.get_inputs()
+    inputs = sorted(session.get_inputs(), key=lambda i: -len(i.shape))
     shape = list(inputs[0].shape) if inputs else []
     kind = inputs[0].type if inputs else ""
-    sound = len(inputs) == 1 and len(shape) == 4 and kind in _TYPES
+    sizes = [i.name for i in inputs[1:] if i.type == "tensor(int64)" and len(i.shape) == 2]
+    sound = len(inputs) - len(sizes) == 1 and len(sizes) < 2
+    sound = sound and len(shape) == 4 and kind in _TYPES
     channels_last = sound and shape[3] == 3 and shape[1] != 3
     if not sound or (isinstance(shape[1], int) and shape[1] != 3 and not channels_last):
         each = " and ".join(f"{'x'.join(map(str, i.shape))} {i.type}" for i in inputs)
@@ -195,10 +203,9 @@ def load_session(path: Path, providers: Sequence[str] = (), threads: int = 0) ->
     sides = shape[1:3] if channels_last else shape[2:]
     height, width = (n if isinstance(n, int) else said[1 - k] for k, n in enumerate(sides))
     batch = shape[0] if isinstance(shape[0], int) else 0
-    name = inputs[0].name
-    return OnnxSession(
-        place, session, name, metadata, (width, height), batch, _TYPES[kind], channels_last
-    )
+    size_name = sizes[0] if sizes else ""
+    known = (metadata, (width, height), batch, _TYPES[kind], channels_last)
+    return OnnxSession(place, session, inputs[0].name, size_name, *known)
 
 
 def _usable(wanted: Sequence[str], place: str) -> list[str]:

@@ -10,12 +10,19 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.core.class_names import COCO_NAMES, shorten, vehicle_class
+from geoorbit_ros.core.class_names import COCO_91, COCO_NAMES, shorten, vehicle_class
 from geoorbit_ros.core.plugins import register
 from geoorbit_ros.detection.detector import DetectorSettings, ModelError, as_bgr, detection_rows
 from geoorbit_ros.detection.onnx.choose import choose_layout
-from geoorbit_ros.detection.onnx.layouts import Candidates, GridLayout
-from geoorbit_ros.detection.onnx.model_input import GREY, Letterbox, ModelInput, centred, cornered
+from geoorbit_ros.detection.onnx.layouts import Candidates, GridLayout, TransformerLayout
+from geoorbit_ros.detection.onnx.model_input import (
+    GREY,
+    Letterbox,
+    ModelInput,
+    centred,
+    cornered,
+    stretched,
+)
 from geoorbit_ros.detection.onnx.session import load_session
 
 MAX_CANDIDATES = 30000
@@ -59,7 +66,8 @@ class OnnxYolo:
     """A YOLO model that finds vehicles.
 
     Preprocessing follows the predictor of the family that writes the layout: YOLOX wants BGR from 0
-    to 255 in the top left corner, the others RGB from 0 to 1 in the middle.
+    to 255 in the top left corner; transformers the image over the whole canvas, of which DETR and
+    RF-DETR are given deviations from ImageNet's mean; the others RGB from 0 to 1 in the middle.
 
     Args:
         path: An `.onnx` file.
@@ -79,17 +87,21 @@ class OnnxYolo:
         grey = np.full((1, 3, canvas[1], canvas[0]), level, dtype=self._model.dtype)
         outputs = self._model.run(grey.repeat(self._model.batch or 1, axis=0))
         given: Mapping[int, str] = dict(enumerate(self.settings.class_names))
-        self._layout, self.names, count = choose_layout(
+        self._boxes, self._layout, self.names, count = choose_layout(
             outputs, canvas, self._model.metadata, given, place
         )
         self._coco = vehicle_classes(self.names, count, place)
         self._wanted = np.flatnonzero(self._coco >= 0)
         self._yolox = isinstance(self._layout, GridLayout) and not self._layout.rgb
-        self._flat = all(output.ndim == 2 for output in outputs)
+        self._flat = self._boxes.of(outputs).ndim == 2
         self.remarks = tuple(_remarks(self.names, place))
         scale = 1.0 if self._yolox else 1.0 / 255.0
         self._input = ModelInput(
-            self._model.dtype, self._model.batch, scale=scale, swap=not self._yolox
+            self._model.dtype,
+            self._model.batch,
+            scale=scale,
+            swap=not self._yolox,
+            normalised=isinstance(self._layout, TransformerLayout) and self.names is COCO_91,
         )
 
     @classmethod
@@ -127,7 +139,7 @@ class OnnxYolo:
         for start in range(0, len(boxes), max(most, 1)):
             part = slice(start, start + max(most, 1))
             outputs = self._model.run(self._input.filled(boxes[part], pixels[part]))
-            (output,) = (each for each in outputs if each.ndim < 5)
+            output = np.asarray(self._boxes.of(outputs), np.float32)
             rows += map(self._read, boxes[part], [output] if self._flat else output)
         return rows
 
@@ -135,6 +147,8 @@ class OnnxYolo:
         canvas, metadata = self._model.canvas, self._model.metadata
         if self._yolox:
             return cornered(size, canvas)
+        if isinstance(self._layout, TransformerLayout) or self._model.size_name:
+            return stretched(size, canvas)
         return centred(size, canvas, metadata.stride if metadata.dynamic else 0)
 
     def _read(self, box: Letterbox, output: NDArray[np.float32]) -> NDArray[np.void]:
@@ -142,7 +156,7 @@ class OnnxYolo:
         found = self._layout.candidates(output, box.canvas_size, self._wanted, options.min_score)
         finite = np.isfinite(found.boxes).all(axis=1)
         found = Candidates(found.boxes[finite], found.score[finite], found.model_class[finite])
-        if not self._layout.suppressed:
+        if options.any_class or not self._layout.suppressed:
             group = np.zeros_like(found.model_class) if options.any_class else found.model_class
             kept = suppress(found.boxes, found.score, group, options.max_iou)[:MAX_DETECTIONS]
             found = Candidates(found.boxes[kept], found.score[kept], found.model_class[kept])

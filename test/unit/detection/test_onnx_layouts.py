@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from made_models import constant_model, save_model
 from numpy.typing import NDArray
-from onnx import helper
+from onnx import TensorProto, helper
 
 from geoorbit_ros.core.class_names import COCO_NAMES
 from geoorbit_ros.detection.detector import (
@@ -295,6 +295,157 @@ FOUND: list[tuple[str, Table, dict[int, str] | None, bool, str]] = [
 ]
 
 
+def kinds_of(count: int, car: int, truck: int) -> Table:
+    made = np.zeros(count)
+    made[0], made[count // 2] = car, truck
+    return made
+
+
+def logits_of(count: int, classes: int, car: int, truck: int) -> Table:
+    made = np.full((count, classes), -6.0)
+    made[0, car] = made[count // 2, truck] = logit(0.9)
+    return made
+
+
+CORNERS = hits(300, lambda b, *_: corner(b), [0.0] * 4)
+IN_SHARES = hits(300, lambda b, *_: shares(b), [0.5, 0.5, 0.1, 0.1])
+SCORES = hits(300, lambda _b, _k, s: [s], [0.0])[:, 0]
+# name, outputs, which of them are whole numbers, words of the detector's name
+APART: list[tuple[str, list[Table], tuple[int, ...], str]] = [
+    ("labels, boxes, scores (D-FINE, RT-DETR)", [kinds_of(300, 2, 7), CORNERS, SCORES], (0,), ""),
+    ("boxes, labels, scores in shares", [IN_SHARES, kinds_of(300, 2, 7), SCORES], (1,), "centre"),
+    (
+        "count, boxes, scores, classes (EfficientNMS)",
+        [np.array([2.0]), CORNERS, SCORES, kinds_of(300, 2, 7)],
+        (0, 3),
+        "corners",
+    ),
+    ("classes as floats", [CORNERS, SCORES, kinds_of(300, 2, 7)], (), "corners"),
+    ("logits of 80 classes, boxes", [logits_of(300, 80, 2, 7), IN_SHARES], (), "transformer"),
+    ("boxes, logits of 91 (RF-DETR)", [IN_SHARES, logits_of(300, 91, 3, 8)], (), "transformer"),
+    (
+        "boxes, logits, masks (RF-DETR for segmentation)",
+        [IN_SHARES, logits_of(300, 91, 3, 8), np.zeros((300, 20, 20))],
+        (),
+        "transformer",
+    ),
+    (
+        "logits of 92, the last for nothing (DETR)",
+        [
+            np.column_stack([logits_of(300, 91, 3, 8), np.where(SCORES > 0, -0.25, 9.0)]),
+            IN_SHARES,
+        ],
+        (),
+        "transformer",
+    ),
+    (
+        "masks beside raw boxes",
+        [
+            np.concatenate(
+                [
+                    hits(
+                        CELLS,
+                        lambda b, k, s: [*centre(b), *one_hot(5 * k + 2, s, 80)],
+                        [9.0] * 4 + [0.01] * 80,
+                    ).T,
+                    np.full((32, CELLS), -0.7),
+                ]
+            ),
+            np.zeros((32, 160, 160)),
+        ],
+        (),
+        "raw",
+    ),
+    (
+        "masks beside boxes after suppression",
+        [
+            hits(
+                300,
+                lambda b, k, s: [*corner(b), s, 5 * k + 2, *[-0.7] * 32],
+                [0] * 38,
+            ),
+            np.zeros((32, 160, 160)),
+        ],
+        (),
+        "corners",
+    ),
+    (
+        "scores without the sigmoid",
+        [
+            hits(
+                CELLS,
+                lambda b, k, s: [*centre(b), *(logit(p) for p in one_hot(5 * k + 2, s, 80))],
+                [9.0] * 4 + [-7.0] * 80,
+            ).T
+        ],
+        (),
+        "raw",
+    ),
+]
+
+
+@pytest.mark.parametrize(
+    ("outputs", "whole", "words"), [e[1:] for e in APART], ids=[e[0] for e in APART]
+)
+def test_two_vehicles_are_found_in_outputs_that_stand_apart(
+    tmp_path: Path, outputs: list[Table], whole: tuple[int, ...], words: str
+) -> None:
+    arrays = [output.astype(np.float32) for output in outputs]
+    model = constant_model(tmp_path / "m.onnx", *arrays, canvas=(SIDE, SIDE), whole=whole)
+    detector = OnnxYolo(model)
+    assert words in detector.name
+    assert_both(detector.detect(0, np.zeros((SIDE, SIDE, 3), np.uint8)), True)
+
+
+def test_transformers_see_the_image_over_their_whole_canvas(tmp_path: Path) -> None:
+    """As their own predictors show it to them; a box is then wider than it is in the model."""
+    arrays = [IN_SHARES.astype(np.float32), logits_of(300, 91, 3, 8).astype(np.float32)]
+    detector = OnnxYolo(constant_model(tmp_path / "m.onnx", *arrays, canvas=(SIDE, SIDE)))
+    rows = detector.detect(0, np.zeros((SIDE, 2 * SIDE, 3), np.uint8))
+    wide = rows.copy()
+    wide["x"], wide["width"] = rows["x"] / 2, rows["width"] / 2
+    assert_both(wide, True)
+
+
+def test_a_model_that_asks_for_the_image_size_is_told_that_of_its_input(tmp_path: Path) -> None:
+    """RT-DETR and D-FINE write boxes in the size that their second input names."""
+    two = np.array([shares(CAR), shares(TRUCK)], np.float32)
+    corners = np.concatenate([two[:, :2] - two[:, 2:] / 2, two[:, :2] + two[:, 2:] / 2], axis=1)
+    nodes = [
+        helper.make_node("Cast", ["sizes"], ["float"], to=TensorProto.FLOAT),
+        helper.make_node("Concat", ["float", "float"], ["both"], axis=1),
+        helper.make_node("Unsqueeze", ["both", "one"], ["each"]),
+        helper.make_node("Mul", ["each", "shares"], ["boxes"]),
+        helper.make_node("ReduceMean", ["images"], ["mean"], axes=[1, 2, 3], keepdims=0),
+        helper.make_node("Mul", ["mean", "zero"], ["nothing"]),
+        helper.make_node("Unsqueeze", ["nothing", "one"], ["column"]),
+        helper.make_node("Add", ["column", "score"], ["scores"]),
+        helper.make_node("Add", ["column", "kind"], ["kinds"]),
+        helper.make_node("Cast", ["kinds"], ["labels"], to=TensorProto.INT64),
+    ]
+    constants: dict[str, NDArray[np.generic]] = {
+        "one": np.array([1], np.int64),
+        "shares": corners[None],
+        "zero": np.zeros(1, np.float32),
+        "score": np.full((1, 2), 0.9, np.float32),
+        "kind": np.array([[2, 7]], np.float32),
+    }
+    model = save_model(
+        tmp_path / "m.onnx",
+        nodes,
+        constants,
+        ["N", 3, SIDE, SIDE],
+        {"labels": ["N", 2], "boxes": ["N", 2, 4], "scores": ["N", 2]},
+        None,
+        whole=(0,),
+        sizes="sizes",
+    )
+    detector = OnnxYolo(model)
+    assert_both(detector.detect(0, np.zeros((SIDE, SIDE, 3), np.uint8)), True)
+    for rows in detector.detect_batch([np.zeros((SIDE, SIDE, 3), np.uint8)] * 3):
+        assert_both(rows, True)
+
+
 def model_of(folder: Path, output: Table, names: dict[int, str] | None, **more: object) -> Path:
     said: dict[str, object] | None = None if names is None else {"names": names}
     made = output.astype(np.float32)
@@ -418,28 +569,22 @@ REFUSED: list[tuple[str, list[Table], dict[int, str] | None, list[str]]] = [
         [f"1x56x{CELLS}", "no poses, masks or rotated boxes"],
     ),
     (
-        "masks",
-        [np.zeros((116, CELLS)), np.zeros((32, 160, 160))],
+        "boxes twice",
+        [np.zeros((100, 4)), np.zeros((100, 4)), np.zeros(100)],
         None,
-        [f"2 outputs 1x116x{CELLS}, 1x32x160x160"],
+        ["3 outputs 1x100x4, 1x100x4, 1x100"],
     ),
     (
-        "boxes, scores and classes apart (torchvision, YOLOv7 for TensorRT)",
+        "classes and scores that are not told apart",
         [np.zeros((100, 4)), np.zeros(100), np.zeros(100)],
         None,
         ["3 outputs 1x100x4, 1x100, 1x100"],
     ),
     (
-        "logits and boxes apart (DETR of Hugging Face)",
-        [np.zeros((100, 92)), np.zeros((100, 4))],
+        "angles below zero",
+        [np.full((84, CELLS), -0.5)],
         None,
-        ["2 outputs 1x100x92, 1x100x4"],
-    ),
-    (
-        "class scores without the sigmoid",
-        [np.full((84, CELLS), -4.5)],
-        None,
-        [f"1x84x{CELLS}", "values from -4.5 to -4.5", "class scores from 0 to 1"],
+        [f"1x84x{CELLS}", "values from -0.5 to -0.5", "class scores from 0 to 1"],
     ),
     (
         "numbers that are neither scores nor classes",
