@@ -50,6 +50,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if not interruption.came:
                 raise
             return EXIT_INTERRUPTED
+        finally:
+            interruption.over()
     return 0
 
 

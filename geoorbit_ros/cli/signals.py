@@ -20,8 +20,10 @@ SAME_S = 0.5
 """Signals that follow the first one within this time count as the same. Chosen: `timeout` sends its
 signal twice; larger, somebody who presses Ctrl-C again waits longer."""
 AGAIN_S = 0.02
-"""An interruption that got lost comes again after this time. Chosen: larger, the command goes on
-for longer; much smaller, it may come before the place where it got lost is left."""
+"""An interruption that was seen to get lost comes again so much later. Chosen: larger, the command
+goes on for longer; much smaller, it may come before the place where it got lost is left."""
+LOST_S = 0.5
+"""After this time it is looked whether it got lost unseen, again and again. Chosen: as `SAME_S`."""
 
 
 class Interrupted(KeyboardInterrupt):
@@ -38,6 +40,8 @@ class Interruption:
 
     Python drops an exception that is raised in a destructor or a weak reference's callback, and
     prints it. An interruption that is dropped there comes again a moment later, and isn't printed.
+    Libraries drop one without a word, where they look something up and take any exception for "not
+    there". So it comes again, too, if nothing is cleaning up after it some time later.
 
     Args:
         ends_process: Whether the process ends with the context: later signals are then ignored,
@@ -50,8 +54,13 @@ class Interruption:
     def __init__(self, *, ends_process: bool) -> None:
         self.came = False
         self._ends_process = ends_process
+        self._over = False
         self._first_s = 0.0
         self._handlers: dict[int, Any] = {}
+
+    def over(self) -> None:
+        """Nothing is left that could be interrupted."""
+        self._over = True
 
     def __enter__(self) -> Interruption:
         if threading.current_thread() is threading.main_thread():
@@ -63,6 +72,8 @@ class Interruption:
         return self
 
     def __exit__(self, *_: object) -> None:
+        if self._handlers:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
         for number, handler in self._handlers.items():
             signal.signal(number, signal.SIG_IGN if self._ends_process else handler)
         if self._handlers and not self._ends_process:
@@ -72,18 +83,29 @@ class Interruption:
         now = time.monotonic()
         if not self.came:
             self.came, self._first_s = True, now
+            signal.setitimer(signal.ITIMER_REAL, LOST_S, LOST_S)
             raise Interrupted
         if now - self._first_s > SAME_S:
             os._exit(EXIT_INTERRUPTED)
 
     def _interrupt_again(self, *_: object) -> None:
-        raise Interrupted
+        if not self._over and not _is_handled(sys.exception()):
+            raise Interrupted
 
     def _on_dropped(self, dropped: sys.UnraisableHookArgs) -> None:
         if self.came and isinstance(dropped.exc_value, KeyboardInterrupt):
-            signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
+            signal.setitimer(signal.ITIMER_REAL, AGAIN_S, LOST_S)
         else:
             self._hook(dropped)
+
+
+def _is_handled(error: BaseException | None) -> bool:
+    """Whether `error`, which is being handled, is an interruption or was raised while one was."""
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt):
+            return True
+        error = error.__context__
+    return False
 
 
 @contextmanager

@@ -91,7 +91,7 @@ def test_a_second_node_of_one_name_says_who_is_there_and_ends(fleet: Fleet) -> N
     assert fleet.processes.pop("tracker").wait(LIMIT_S) == 2
     said = fleet.log("tracker")
     domain = fleet.nodes.domain_id
-    assert f"node '/north/tracker' of domain {domain}: found in use by process {first.pid}" in said
+    assert f"node '/north/tracker' of domain {domain}: found process {first.pid}, which" in said
     assert first.poll() is None
     fleet.start("tracker", namespace="/south")
     fleet.processes["first"] = first

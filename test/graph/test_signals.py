@@ -7,10 +7,13 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from made_up_camera import MadeUpCamera
+
+from geoorbit_ros.nodes.support.composition import DomainClaim
 
 pytestmark = pytest.mark.slow
 
@@ -28,6 +31,14 @@ def handles_sigterm(process: subprocess.Popen[str]) -> bool:
     status = Path(f"/proc/{process.pid}/status").read_text()
     caught = re.search(r"^SigCgt:\s*(\w+)$", status, re.MULTILINE)
     return caught is not None and bool(int(caught[1], 16) >> (signal.SIGTERM - 1) & 1)
+
+
+@pytest.fixture
+def domain_id() -> Iterator[int]:
+    """A domain of its own: a second node of one name says so and ends."""
+    claim = DomainClaim()
+    yield claim.domain_id
+    claim.close()
 
 
 @pytest.fixture
@@ -55,12 +66,17 @@ def programs(camera: MadeUpCamera, tmp_path: Path) -> dict[str, list[str]]:
     "program", ["executable", "module", "group", "command", "watching command"]
 )
 def test_a_signal_at_any_moment_of_the_start(
-    program: str, number: signal.Signals, programs: dict[str, list[str]], tmp_path: Path
+    program: str,
+    number: signal.Signals,
+    programs: dict[str, list[str]],
+    domain_id: int,
+    tmp_path: Path,
 ) -> None:
     (tmp_path / "out").mkdir()
     environment = os.environ | {
         "PYTHONPATH": str(REPOSITORY),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "ROS_DOMAIN_ID": str(domain_id),
     }
     for moment in range(MOMENTS):
         with subprocess.Popen(

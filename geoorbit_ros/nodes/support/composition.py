@@ -95,7 +95,9 @@ class Composition:
         self._nodes: list[Node] = []
         self._told_to_end = False
         main = threading.current_thread() is threading.main_thread()
-        self._handlers = {n: signal.signal(n, self._note) for n in (SIGNALS if main else ())}
+        # An interruption that got lost comes again as SIGALRM (`cli/signals.py`).
+        told_by = (*SIGNALS, signal.SIGALRM) if main else ()
+        self._handlers = {n: signal.signal(n, self._note) for n in told_by}
 
     def _note(self, *_: object) -> None:
         self._told_to_end = True

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import gc
-import os
 import signal
+import socket
+import struct
 import sys
-import tempfile
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, ExitStack, nullcontext
-from pathlib import Path
+from contextlib import ExitStack, suppress
 from typing import Any
 
 import rclpy
@@ -22,11 +21,13 @@ from geoorbit_ros.core.addresses import masked_text
 from geoorbit_ros.core.errors import GeoOrbitError, ParameterError
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.parameters import parameter_help
-from geoorbit_ros.storage.ownership import Ownership
 
 SPIN_TIMEOUT_S = 0.2
 """How long a signal may go unnoticed at most. Chosen: larger, a node ends later; smaller, an idle
 node wakes the processor more often."""
+
+MAX_ADDRESS = 107
+"""Longest name of a Unix socket, in bytes (man 7 unix)."""
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -122,20 +123,32 @@ def _make(
         stack.enter_context(_name_claimed(node))
 
 
-def _name_claimed(node: GeoOrbitNode[Any]) -> AbstractContextManager[object]:
+def _name_claimed(node: GeoOrbitNode[Any]) -> socket.socket:
     """Hold a node's name in its domain on this machine: two of one name mix their messages.
 
+    An abstract Unix socket (man 7 unix) marks it, as the middleware's reach ends where the network
+    namespace does; the kernel removes it when the process ends.
+
     Raises:
-        InputFileError: A node of that name runs already.
+        ParameterError: A node of that name runs already.
     """
     name, domain_id = node.get_fully_qualified_name(), node.context.get_domain_id()
-    folder = Path(tempfile.gettempdir()) / f"geoorbit-{os.getuid()}" / f"domain-{domain_id}"
+    address = f"\0geoorbit node {domain_id} {name}"[:MAX_ADDRESS]
+    mark = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError:  # a machine without a writable folder for this: nobody can be told
-        return nullcontext()
-    lock = folder / f"{name.strip('/').replace('/', '.')}.lock"
-    return Ownership(lock, f"node '{name}' of domain {domain_id}")
+        mark.bind(address)
+        mark.listen(1)
+    except OSError:
+        owner = "another process"
+        with suppress(OSError):  # it has just ended
+            mark.connect(address)
+            who = mark.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
+            owner = f"process {struct.unpack('3i', who)[0]}"
+        mark.close()
+        place, found = f"node '{name}' of domain {domain_id}", f"{owner}, which has this name"
+        expected = "another name or namespace (-r __ns:=/CAMERA), or the end of that process"
+        raise ParameterError(place, found, expected) from None
+    return mark
 
 
 def _spin(nodes: Sequence[GeoOrbitNode[Any]], go_on: Callable[[], bool]) -> None:
