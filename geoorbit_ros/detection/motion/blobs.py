@@ -174,11 +174,12 @@ def _vehicles(
     box = _extent(blob)
     if box is None:
         return []
-    if sizes.known and sizes.car(box)[1] < MIN_CAR_PX:
+    known = sizes.knows(box)
+    if known and sizes.car(box)[1] < MIN_CAR_PX:
         return _beyond(blob, box, image_shape, axes)
-    if not sizes.known or _is_one(box, sizes):
+    if not known or _is_one(box, sizes):
         vehicle = _vehicle(blob, box, image_shape, sizes)
-        if vehicle.whole and sizes.known:
+        if vehicle.whole and known:
             outlines.add(blob.pixels, box, (blob.left, blob.top))
         sound = vehicle.fill > CONVEX_FILL and not touches_border(box, image_shape)
         low = sizes.known and box[3] - box[1] < _min_height_px(image_shape)
@@ -248,9 +249,9 @@ def _is_one(box: Box, sizes: VehicleSizes) -> bool:
 
 
 def _large_enough(vehicle: Vehicle, sizes: VehicleSizes, image_shape: tuple[int, ...]) -> bool:
-    if not sizes.known:
-        return True
     box = vehicle.box
+    if not sizes.knows(box):
+        return True
     width, height = sizes.car(box)
     share = (box[2] - box[0]) * (box[3] - box[1]) / (width * height)
     high = box[3] - box[1] > MIN_PART * height or touches_border(box, image_shape)
@@ -276,7 +277,7 @@ def _vehicle(blob: Blob, box: Box, image_shape: tuple[int, ...], sizes: VehicleS
     cut_off = touches_border(box, image_shape)
     sound = fill > CONVEX_FILL
     similarity = CONVEX_SIMILARITY
-    if sizes.known and not cut_off:
+    if sizes.knows(box) and not cut_off:
         misfit = size_misfit(box, fill, sizes)
         similarity = float(np.exp(-misfit))
         if sound and misfit < MOST_MISFIT:

@@ -151,7 +151,7 @@ class MotionDetector:
         travelled = self._trajectories.add(stamp_ns, boxes, isolated)
         self._axes.add(travelled)
         self._alone += travelled.vehicles
-        self._sizes.add(travelled.boxes[travelled.isolated])
+        self._sizes.add(travelled.boxes[travelled.isolated], travelled.teaching)
         if self._frames % LEARN_FRAMES == 0:
             self._sizes.learn()
         self._frames += 1

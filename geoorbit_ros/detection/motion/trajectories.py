@@ -56,6 +56,10 @@ MIN_STEPS = 4
 KEPT_SHARE = 0.12
 """A box is kept after so many square roots of its area. Chosen: a vehicle that creeps counts no
 more than one that drives; smaller gives more boxes of the same."""
+TEACHES = 5
+"""A trajectory teaches sizes and directions from so many boxes on that are one vehicle by itself.
+Chosen: in real films vehicles have seven and more; pieces of vehicles, leaves and lights that seem
+to travel have three and fewer. Larger learns later."""
 MOST_KEPT = 60
 """Boxes kept of one trajectory. Chosen: more only repeat each other."""
 _IMPOSSIBLE = 1e6
@@ -66,8 +70,9 @@ _IMPOSSIBLE = 1e6
 class _Trajectory:
     """One vehicle, or something else that moves.
 
-    `kept` are boxes and directions that are not handed on yet, `counted` the observations that were
-    handed on as staying.
+    `kept` are boxes and directions that are not handed on yet, `alone` those of one vehicle by
+    itself while they are too few to teach, `counted` the observations that were handed on as
+    staying.
     """
 
     first: Array
@@ -83,6 +88,8 @@ class _Trajectory:
     travelled: bool = False
     counted: int = 0
     kept: list[tuple[Array, Array, bool]] = field(default_factory=list)
+    alone: list[tuple[Array, Array, bool]] = field(default_factory=list)
+    teaches: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +101,7 @@ class Travelled:
         direction: (N, 2) unit vectors, right and down, along which each vehicle drove there.
         isolated: (N,) which boxes are those of one vehicle by itself.
         vehicles: How many of these vehicles were not known to travel before.
+        teaching: How many have had `TEACHES` isolated boxes now, and not before.
         stayed: (M, 4) boxes of what was followed and stayed where it was.
     """
 
@@ -101,6 +109,7 @@ class Travelled:
     direction: Array
     isolated: NDArray[np.bool_]
     vehicles: int
+    teaching: int
     stayed: Array
 
 
@@ -134,14 +143,15 @@ class Trajectories:
         now = np.array(boxes, dtype=np.float64).reshape(-1, 4)
         pairs = self._pairs(stamp_ns, now)
         found: list[tuple[Array, Array, bool]] = []
-        vehicles = 0
+        vehicles = teaching = 0
         for k, m in pairs:
             trajectory, before = self._open[k], self._open[k].travelled
+            taught = trajectory.teaches
             _extend(trajectory, stamp_ns, now[m], whole=whole[m])
             vehicles += trajectory.travelled and not before
             if trajectory.travelled:
-                found += trajectory.kept
-                trajectory.kept = []
+                found += _handed_on(trajectory)
+                teaching += trajectory.teaches and not taught
         taken = {m for _, m in pairs}
         self._open += [
             _Trajectory(box, box, stamp_ns, stamp_ns, box)
@@ -153,7 +163,8 @@ class Trajectories:
         known = np.array([box for box, _, _ in found]).reshape(-1, 4)
         directions = np.array([direction for _, direction, _ in found]).reshape(-1, 2)
         isolated = np.array([alone for _, _, alone in found], dtype=bool)
-        return Travelled(known, directions, isolated, vehicles, np.array(stayed).reshape(-1, 4))
+        still = np.array(stayed).reshape(-1, 4)
+        return Travelled(known, directions, isolated, vehicles, teaching, still)
 
     def follows(self, stamp_ns: int, box: Box) -> bool:
         """Whether a box is where something should be that has left its place."""
@@ -228,6 +239,19 @@ def _extend(trajectory: _Trajectory, stamp_ns: int, box: Array, *, whole: bool) 
         trajectory.travelled |= away >= TRAVELLED * side
 
 
+def _handed_on(trajectory: _Trajectory) -> list[tuple[Array, Array, bool]]:
+    """Its new boxes, as isolated ones if it has had enough of these; then the earlier ones, too."""
+    new, trajectory.kept = trajectory.kept, []
+    if trajectory.teaches:
+        return new
+    trajectory.alone += [entry for entry in new if entry[2]]
+    if len(trajectory.alone) < TEACHES:
+        return [(box, direction, False) for box, direction, _ in new]
+    trajectory.teaches = True
+    alone, trajectory.alone = trajectory.alone, []
+    return alone + [entry for entry in new if not entry[2]]
+
+
 def _overlap(a: Array, b: Array) -> float:
     """Intersection over union of two boxes (4,)."""
     both = np.prod(np.maximum(np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2]), 0.0))
@@ -250,5 +274,5 @@ def feet(boxes: Array) -> Array:
 
 
 _NOTHING = Travelled(
-    np.empty((0, 4)), np.empty((0, 2)), np.empty(0, dtype=bool), 0, np.empty((0, 4))
+    np.empty((0, 4)), np.empty((0, 2)), np.empty(0, dtype=bool), 0, 0, np.empty((0, 4))
 )

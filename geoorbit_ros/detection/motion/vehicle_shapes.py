@@ -15,9 +15,17 @@ Box = tuple[int, int, int, int]
 MEMORY_BOXES = 4000
 """Boxes that sizes are learnt from, the latest. Chosen: more take time, fewer forget quiet
 places."""
+REACH = 1.0
+"""Sizes are known so far above and below the rows in which they were learnt, in shares of these
+rows. Chosen: sizes learnt from far cars alone say nothing about near ones; smaller learns near ones
+later.
+"""
 MIN_BOXES = 40
 """Boxes from which sizes are known, those of some five vehicles that travelled. Chosen: more learn
 later, fewer learn from single lorries."""
+MIN_VEHICLES = 4
+"""And vehicles that they are of. Chosen: fewer learn from one bird or one light, more learn later
+on quiet roads."""
 TRIES = 150
 """Random pairs tried for the line of heights: with a third of the boxes cars, the chance that none
 of the pairs is two cars is below 1e-6 (Fischler and Bolles 1981)."""
@@ -80,9 +88,23 @@ class VehicleSizes:
         self._span = (0.0, 1.0, 0.0, 1.0)
         self._local = np.zeros((*CELLS, 2)).tolist()
         self._terms: tuple[float, ...] = (0.0,) * 6
+        self._rows = (0.0, 0.0)
+        self._vehicles = 0
 
-    def add(self, boxes: NDArray[np.float64]) -> None:
-        """Note boxes (N, 4) left, top, right, bottom, each of one whole vehicle."""
+    def knows(self, box: Box) -> bool:
+        """Whether the size of a car is known where a box ends, not too far from where any were."""
+        low, high = self._rows
+        reach = REACH * (high - low)
+        return self.known and low - reach <= box[3] <= high + reach
+
+    def add(self, boxes: NDArray[np.float64], vehicles: int) -> None:
+        """Note boxes (N, 4) left, top, right, bottom, each of one whole vehicle.
+
+        Args:
+            boxes: Of vehicles by themselves.
+            vehicles: How many of these are new.
+        """
+        self._vehicles += vehicles
         self._boxes.extend(map(tuple, boxes.tolist()))
 
     def at(self, x: NDArray[np.float64], bottom: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -113,7 +135,7 @@ class VehicleSizes:
 
     def learn(self) -> None:
         """Fit anew to the boxes noted so far."""
-        if len(self._boxes) < MIN_BOXES:
+        if len(self._boxes) < MIN_BOXES or self._vehicles < MIN_VEHICLES:
             return
         boxes = np.array(self._boxes)
         self._scale = float(np.abs(boxes).max())
@@ -124,6 +146,7 @@ class VehicleSizes:
         if fit is None:
             return
         self._height = fit
+        self._rows = (float(np.quantile(bottom, 0.02)), float(np.quantile(bottom, 0.98)))
         car = np.abs(np.log(size[:, 1] / np.maximum(place[:, _ROW] @ fit, 0.1))) < TOLERANCE
         ratio = np.log(size[car, 0] / size[car, 1])
         shape = np.array([float(np.median(ratio)), 0.0, 0.0, 0.0])

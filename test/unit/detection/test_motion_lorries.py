@@ -81,7 +81,7 @@ def learnt(camera: Camera) -> tuple[VehicleSizes, VehicleOutlines, RoadAxes]:
             mask = camera.mask(along_m, lane, CAR)
             box = box_of(mask)
             axes.add(trajectories.add(stamp_ns, [box], [True]))
-            sizes.add(np.array([box], dtype=np.float64))
+            sizes.add(np.array([box], dtype=np.float64), 1)
             outlines.add((mask > 0).astype(np.uint8), box, (0, 0))
         stamp_ns += 10_000_000_000
     sizes.learn()

@@ -5,7 +5,7 @@ import pytest
 
 from geoorbit_ros.detection.motion.road_axes import RoadAxes
 from geoorbit_ros.detection.motion.trajectories import KEPT_SHARE, Trajectories, Travelled
-from geoorbit_ros.detection.motion.vehicle_shapes import Box
+from geoorbit_ros.detection.motion.vehicle_shapes import Box, VehicleSizes
 
 Step = tuple[float, float]
 
@@ -98,6 +98,45 @@ def test_two_that_pass_each_other_both_travel() -> None:
         a, b = box_at(100.0 + 10.0 * k, 300.0), box_at(500.0 - 10.0 * k, 330.0)
         found += road.see(a, b).vehicles
     assert found == 2
+
+
+@pytest.mark.parametrize(("whole", "isolated"), [(3, 0), (4, 0), (5, 5), (9, 9)])
+def test_what_is_by_itself_in_a_few_images_alone_teaches_nothing(whole: int, isolated: int) -> None:
+    """Pieces of vehicles travel, too, but join others again."""
+    trajectories, taught, teaching = Trajectories(), 0, 0
+    for k in range(20):
+        seen = [box_at(300.0 + 12.0 * k, 300.0)]
+        found = trajectories.add(10**9 + k * 150_000_000, seen, [3 <= k < 3 + whole])
+        taught += int(found.isolated.sum())
+        teaching += found.teaching
+    assert taught == isolated
+    assert teaching == (isolated > 0)
+
+
+def cars(count: int, rows: tuple[float, float]) -> np.ndarray:
+    """Boxes of cars that are a tenth as high as the row that they end in."""
+    bottom = np.linspace(*rows, count)
+    x = np.random.default_rng(3).uniform(100.0, 900.0, count)
+    half = 0.07 * bottom
+    return np.column_stack((x - half, 0.9 * bottom, x + half, bottom))
+
+
+def test_the_size_of_a_car_is_learnt_from_several_vehicles() -> None:
+    for vehicles, known in ((3, False), (4, True)):
+        sizes = VehicleSizes()
+        sizes.add(cars(200, (200.0, 600.0)), vehicles)
+        sizes.learn()
+        assert sizes.known == known
+
+
+def test_far_cars_say_nothing_about_near_ones() -> None:
+    sizes = VehicleSizes()
+    sizes.add(cars(200, (200.0, 300.0)), 20)
+    sizes.learn()
+    assert sizes.known
+    assert sizes.knows((400, 350, 440, 380))
+    assert not sizes.knows((400, 550, 500, 600))
+    assert sizes.car((400, 350, 440, 380))[1] == pytest.approx(38.0, rel=0.1)
 
 
 def test_where_things_move_and_never_travel_is_no_road() -> None:
