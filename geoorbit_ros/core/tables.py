@@ -109,13 +109,14 @@ def frames_from_rows(stamp_ns: NDArray[np.int64], rows: NDArray[np.void]) -> Fra
 def one_class_each(rows: NDArray[np.void]) -> NDArray[np.int64]:
     """(N,) classes of `PIXEL_TRACK_DTYPE` rows, in which each track has one.
 
-    It is the class of most of its rows, weighted by their score and height: the nearer a vehicle,
+    It is the class of most of its rows, weighted by their score and area: the nearer a vehicle,
     the better it shows what it is.
     """
     ids, track = np.unique(rows["track_id"], return_inverse=True)
     kinds, kind = np.unique(rows["class_id"], return_inverse=True)
     votes = np.zeros((len(ids), max(len(kinds), 1)))
-    np.add.at(votes, (track, kind), rows["score"].astype(np.float64) * rows["height"])
+    area = rows["width"].astype(np.float64) * rows["height"]
+    np.add.at(votes, (track, kind), rows["score"] * area)
     return np.asarray(kinds[votes.argmax(axis=1)[track]], dtype=np.int64)
 
 

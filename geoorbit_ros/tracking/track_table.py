@@ -102,7 +102,7 @@ class TrackTable:
         hits: (N,) observations.
         missed: (N,) frames since the last observation.
         class_id: (N,) class with the most votes.
-        lead: (N,) its lead over the others, in votes weighted by confidence.
+        lead: (N,) its lead over the others, in votes weighted by confidence and area.
         score: (N,) confidence of the last observation.
         cut: (N,) whether the image border cut the last box.
         entering: (N,) whether the border cut all boxes so far.
@@ -164,7 +164,7 @@ class TrackTable:
             hits=zeros + 1,
             missed=zeros.copy(),
             class_id=found.class_id[which],
-            lead=score.copy(),
+            lead=score * found.box[2:, which].prod(axis=0),
             score=score,
             cut=found.cut[which],
             entering=found.cut[which],
@@ -193,9 +193,10 @@ class TrackTable:
         self.score[which] = score
         self.cut[which] = found.cut[partner]
         self.entering[which] &= found.cut[partner]
-        # The majority vote of Boyer and Moore (1981): one candidate and its lead are enough.
-        kind = found.class_id[partner]
-        lead = self.lead[which] + np.where(self.class_id[which] == kind, score, -score)
+        # The majority vote of Boyer and Moore (1981): one candidate and its lead are enough. The
+        # nearer a vehicle, the better it shows what it is.
+        kind, votes = found.class_id[partner], score * found.box[2:, partner].prod(axis=0)
+        lead = self.lead[which] + np.where(self.class_id[which] == kind, votes, -votes)
         self.class_id[which] = np.where(lead < 0.0, kind, self.class_id[which])
         self.lead[which] = np.abs(lead)
 

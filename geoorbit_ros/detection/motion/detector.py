@@ -209,7 +209,9 @@ class MotionDetector:
         if self._sizes.known and len(boxes):
             car = self._sizes.at(0.5 * (boxes[:, 0] + boxes[:, 2]), boxes[:, 3])
             share = (boxes[:, 2:] - boxes[:, :2]) / car
-            clear = car[:, 1] >= MIN_CLASS_PX
+            rows = boxes.astype(int).tolist()
+            known = [self._sizes.knows((a, b, c, d)) for a, b, c, d in rows]
+            clear = (car[:, 1] >= MIN_CLASS_PX) & np.array(known)
             classes[clear & (share.prod(axis=1) > TRUCK_AREA)] = TRUCK
             classes[clear & (share[:, 0] < MOTORCYCLE_WIDTH)] = MOTORCYCLE
         return classes

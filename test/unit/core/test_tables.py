@@ -8,6 +8,7 @@ def rows(*values: tuple[int, int, float, float]) -> np.ndarray:
     table = np.zeros(len(values), PIXEL_TRACK_DTYPE)
     for k, name in enumerate(("track_id", "class_id", "height", "score")):
         table[name] = [value[k] for value in values]
+    table["width"] = table["height"]
     return table
 
 
