@@ -16,7 +16,9 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from geoorbit_ros.cli.main import main
+from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.nodes.support.composition import Composition
+from geoorbit_ros.nodes.support.process import _name_claimed
 from geoorbit_ros.nodes.support.qos import LATCHED_ALL
 from geoorbit_ros.storage.database.writer import TrajectoryReader
 
@@ -102,6 +104,19 @@ def test_a_second_node_of_one_name_says_who_is_there_and_ends(fleet: Fleet) -> N
     fleet.status.clear()
     fleet.start("tracker")
     fleet.until(lambda: "/north/tracker" in fleet.status, "a tracker again")
+
+
+def test_however_many_ask_for_a_name_none_waits_and_long_names_are_told_apart(
+    fleet: Fleet,
+) -> None:
+    context = fleet.nodes.context
+    first, other = (
+        fleet.nodes.add(Node(f"{'n' * 120}_{end}", context=context)) for end in ("a", "b")
+    )
+    with _name_claimed(first), _name_claimed(other):  # type: ignore[arg-type]
+        for _ in range(300):
+            with pytest.raises(ParameterError, match="which has this name"):
+                _name_claimed(first)  # type: ignore[arg-type]
 
 
 def test_four_processes_give_the_bytes_of_the_offline_command(

@@ -18,8 +18,7 @@ places."""
 REACH = 1.0
 """Sizes are known so far above and below the rows in which they were learnt, in shares of these
 rows. Chosen: sizes learnt from far cars alone say nothing about near ones; smaller learns near ones
-later.
-"""
+later."""
 MIN_BOXES = 40
 """Boxes from which sizes are known, those of some five vehicles that travelled. Chosen: more learn
 later, fewer learn from single lorries."""

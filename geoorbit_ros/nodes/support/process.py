@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import gc
+import hashlib
 import signal
 import socket
 import struct
@@ -25,9 +27,6 @@ from geoorbit_ros.parameters import parameter_help
 SPIN_TIMEOUT_S = 0.2
 """How long a signal may go unnoticed at most. Chosen: larger, a node ends later; smaller, an idle
 node wakes the processor more often."""
-
-MAX_ADDRESS = 107
-"""Longest name of a Unix socket, in bytes (man 7 unix)."""
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -133,14 +132,19 @@ def _name_claimed(node: GeoOrbitNode[Any]) -> socket.socket:
         ParameterError: A node of that name runs already.
     """
     name, domain_id = node.get_fully_qualified_name(), node.context.get_domain_id()
-    address = f"\0geoorbit node {domain_id} {name}"[:MAX_ADDRESS]
+    # Names may be longer than an address (108 bytes, man 7 unix), and alike at their beginning.
+    digest = hashlib.sha256(name.encode()).hexdigest()
+    address = f"\0geoorbit node {domain_id} {digest}"
     mark = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
         mark.bind(address)
-        mark.listen(1)
-    except OSError:
+        mark.listen()
+    except OSError as error:
+        if error.errno != errno.EADDRINUSE:  # a system without such sockets: nobody can be told
+            return mark
         owner = "another process"
-        with suppress(OSError):  # it has just ended
+        mark.setblocking(False)  # many may have asked before, and nobody answers them
+        with suppress(OSError):
             mark.connect(address)
             who = mark.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
             owner = f"process {struct.unpack('3i', who)[0]}"
