@@ -130,8 +130,16 @@ EstimatorOption = Annotated[
         help=f"How lanes are found: {expected('estimator')}.",
     ),
 ]
+ASSUMED_SIZE = (1920, 1080)
+"""(width, height) of an image of which nobody says how large it is. Chosen: the commonest."""
 ImageSizeOption = Annotated[
-    str, typer.Option("--image-size", metavar="WxH", help="Size of the camera's image in pixels.")
+    str | None,
+    typer.Option(
+        "--image-size",
+        metavar="WxH",
+        help="Size of the camera's image in pixels; default: as the bag's CameraInfo or the track "
+        "file says, else 1920x1080.",
+    ),
 ]
 DatumOption = Annotated[
     str | None,
@@ -271,7 +279,7 @@ def load_camera(
     bag: Path | None,
     calibration: Path,
     camera_id: str | None,
-    image_size: str,
+    image_size: str | None,
     datum: str | None,
     out: Path,
     options: ReadOptions | None = None,
@@ -294,26 +302,24 @@ def load_camera(
     from geoorbit_ros.calibration.box_projector import BoxProjector
     from geoorbit_ros.cli.console import status
     from geoorbit_ros.lanes.pipeline import note_other_classes
-    from geoorbit_ros.storage.tracks.cleaning import ReadOptions
 
-    size = parse_image_size(image_size)
     source = _source(tracks, bag, calibration, out)
-    options = options or ReadOptions()
-    homography, origin = load_calibration(calibration, datum, size, strict=options.strict)
+    options = with_image_size(image_size, options)
     topic = ""
     with status(f"reading {source}"):
-        sized = replace(options, image_size=size)
         if tracks:
             from geoorbit_ros.storage.tracks.reader import read_tracks
 
             name = tracks.absolute().parent.name or "camera"
-            frames, report = read_tracks(tracks, sized)
+            frames, report = read_tracks(tracks, options)
         else:
             from geoorbit_ros.storage.track_bag import read_track_bag
 
-            content = read_track_bag(source, camera_id, sized)
+            content = read_track_bag(source, camera_id, options)
             name, topic = content.camera_id or "camera", content.topic
             frames, report = content.frames, content.report
+    size = report.image_size or ASSUMED_SIZE
+    homography, origin = load_calibration(calibration, datum, size, strict=options.strict)
     note_other_classes(report, frames)
     projector = BoxProjector(homography, size)
     projector.doubted = report.doubtful
@@ -333,6 +339,18 @@ def _source(tracks: Path | None, bag: Path | None, calibration: Path, out: Path)
         if out.exists() and file.exists() and out.samefile(file):
             raise ParameterError("option --out", f"{out}, an input", "another path")
     return source
+
+
+def with_image_size(image_size: str | None, options: ReadOptions | None = None) -> ReadOptions:
+    """The options with `--image-size`, and what is taken where nobody says how large the image is.
+
+    Raises:
+        ParameterError: Not two whole numbers from 16 to 32768.
+    """
+    from geoorbit_ros.storage.tracks.cleaning import ReadOptions
+
+    size = None if image_size is None else parse_image_size(image_size)
+    return replace(options or ReadOptions(), image_size=size, default_size=ASSUMED_SIZE)
 
 
 def read_options(fps: float | None, columns: str | None, classes: str, strict: bool) -> ReadOptions:

@@ -44,7 +44,7 @@ def replay(
     ] = 10.0,
     camera_id: CameraIdOption = None,
     estimator: EstimatorOption = DEFAULT_ESTIMATOR,
-    image_size: ImageSizeOption = "1920x1080",
+    image_size: ImageSizeOption = None,
     datum: DatumOption = None,
     update_period_s: UpdatePeriodOption = 5.0,
     database: Annotated[

@@ -57,7 +57,7 @@ def report(
     ] = None,
     camera_id: CameraIdOption = None,
     estimator: EstimatorOption = DEFAULT_ESTIMATOR,
-    image_size: ImageSizeOption = "1920x1080",
+    image_size: ImageSizeOption = None,
     datum: DatumOption = None,
     update_period_s: UpdatePeriodOption = 5.0,
     fps: TrackFpsOption = None,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from geoorbit_ros.cli.inputs import DomainOption
+from geoorbit_ros.cli.inputs import DomainOption, ImageSizeOption
 
 if TYPE_CHECKING:
     from geoorbit_ros.nodes.support.composition import Composition
@@ -28,9 +28,7 @@ def view(
     camera_id: Annotated[
         str | None, typer.Option(help="With --bag: which of its cameras; default: its only one.")
     ] = None,
-    image_size: Annotated[str, typer.Option(help="With --bag: pixels of its images.")] = (
-        "1920x1080"
-    ),
+    image_size: ImageSizeOption = None,
     host: Annotated[
         str, typer.Option(help="Address to listen on; 0.0.0.0 lets other machines look.")
     ] = "127.0.0.1",
@@ -86,18 +84,21 @@ def _write_layout(nodes: Composition, viewer: ViewerNode, file: Path) -> None:
 
 
 def _add_bag(
-    nodes: Composition, bag: Path, calibration: Path | None, camera_id: str | None, image_size: str
+    nodes: Composition,
+    bag: Path,
+    calibration: Path | None,
+    camera_id: str | None,
+    image_size: str | None,
 ) -> None:
     from geoorbit_ros.cli.console import print_remarks
-    from geoorbit_ros.cli.inputs import parse_image_size
+    from geoorbit_ros.cli.inputs import ASSUMED_SIZE, with_image_size
     from geoorbit_ros.nodes.bag_player import BagPlayerNode
     from geoorbit_ros.nodes.homography import HomographyNode
     from geoorbit_ros.nodes.lane_geometry import LaneGeometryNode
     from geoorbit_ros.storage.track_bag import read_track_bag
-    from geoorbit_ros.storage.tracks.cleaning import ReadOptions
 
-    width, height = parse_image_size(image_size)
-    content = read_track_bag(bag, camera_id, ReadOptions((width, height)))
+    content = read_track_bag(bag, camera_id, with_image_size(image_size))
+    width, height = content.report.image_size or ASSUMED_SIZE
     print_remarks(content.report)
     camera = content.camera_id or "camera"
     if calibration is not None:

@@ -64,12 +64,14 @@ class InputReport:
         things: What its rows are, in the plural: `boxes`, `control points`.
         total: How many rows it has.
         remarks: In the order in which they were found.
+        image_size: (width, height) in pixels that boxes were held against, where it is known.
     """
 
     place: str
     things: str = "rows"
     total: int = 0
     remarks: list[Remark] = field(default_factory=list)
+    image_size: tuple[int, int] | None = None
 
     def add(self, treatment: Treatment, count: int, text: str, example: str = "") -> None:
         """Note `count` rows of one kind; nothing is noted for none."""

@@ -1,7 +1,8 @@
 """Tracked boxes in rosbag2 bags, written and read without a ROS installation.
 
 A track bag has one topic `/<camera_id>/tracks_px` of `sensor_msgs/msg/PointCloud2` with the fields
-of `PIXEL_TRACK_DTYPE`. Message time and header stamp are the capture time of the frame.
+of `PIXEL_TRACK_DTYPE`. Message time and header stamp are the capture time of the frame. How large
+the image is says a `sensor_msgs/msg/CameraInfo` of the same camera, where the bag has one.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from geoorbit_ros.core.cdr import CdrReader
 from geoorbit_ros.core.errors import (
     InputFileError,
     MessageError,
@@ -32,7 +34,7 @@ from geoorbit_ros.core.errors import (
     TableError,
 )
 from geoorbit_ros.core.frame_order import capture_times
-from geoorbit_ros.core.input_report import InputReport
+from geoorbit_ros.core.input_report import InputReport, Treatment
 from geoorbit_ros.core.tables import FLAG_GROUND_POINT, PIXEL_TRACK_DTYPE, Frames
 from geoorbit_ros.storage.atomic import atomic_output
 from geoorbit_ros.storage.bag_file import Faults
@@ -47,6 +49,7 @@ Stamps = NDArray[np.int64]
 
 _EXPECTED = "a bag with tracked boxes"
 _TOPIC = "tracks_px"
+_CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 _BAG_VERSION: Literal[9] = 9
 """Metadata version of rosbag2 in Jazzy."""
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*")
@@ -153,14 +156,17 @@ def read_track_bag(
         messages = _read_messages(bag, topic)
         report = InputReport(str(path), "boxes")
         report.include(bag.report())
+        said = _image_size(bag, topic, report)
     report.include(messages.report)
     messages.report.check(options.strict, f"tables of tracks on {topic}")
     stamp_ns, run = capture_times(messages.stamp_ns, messages.received_ns, report)
     boxes = messages.boxes(report, stamp_ns, run)
     if not len(boxes):
         report.check(options.strict, _EXPECTED)
+        options.size(said, report)
         frames = Frames(*_empty_frames(stamp_ns))
     else:
+        boxes.image_size = said
         frames, report = clean_tracks(boxes, options, _EXPECTED)
         report.check(options.strict, _EXPECTED)
         frames = _with_empty(frames, stamp_ns)
@@ -250,6 +256,34 @@ def _read_messages(bag: Bag, topic: str) -> _Messages:
         tables,
         refused.report(str(bag.path), len(tables) + refused.counts.total()),
     )
+
+
+def _image_size(bag: Bag, tracks: str, report: InputReport) -> tuple[int, int] | None:
+    """What the camera's CameraInfo says; None where none does, or two say different things.
+
+    It is on a topic in the camera's namespace, or, for a bag with one such topic, on any. What is
+    wrong with it goes into the report.
+    """
+    topics = [t.name for t in bag.describe().topics if t.message_type == _CAMERA_INFO]
+    own = [name for name in topics if name.startswith(tracks.removesuffix(_TOPIC))]
+    sizes: dict[tuple[int, int], str] = {}
+    for name in own or (topics if len(topics) == 1 else []):
+        for message in bag.messages([name]):
+            try:
+                cdr = CdrReader(message.cdr, f"{bag.path}, {name}", f"a {_CAMERA_INFO}")
+                cdr.header()
+                height, width = cdr.whole("I"), cdr.whole("I")
+            except MessageError as error:
+                text = f"a CameraInfo on {name} can't be read: {error.found}"
+                report.note(Treatment.NOTED, text)
+                break
+            if width and height:  # 0 x 0 stands for not known
+                sizes.setdefault((width, height), name)
+                break
+    if len(sizes) > 1:
+        said = ", ".join(f"{width}x{height} on {name}" for (width, height), name in sizes.items())
+        report.note(Treatment.NOTED, f"CameraInfo says different sizes of the image: {said}")
+    return next(iter(sizes)) if len(sizes) == 1 else None
 
 
 def _empty_frames(stamp_ns: Stamps) -> tuple[Stamps, Stamps, NDArray[np.void]]:

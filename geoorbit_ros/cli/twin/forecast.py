@@ -50,7 +50,7 @@ def forecast(
     limit_s: Annotated[
         float, typer.Option("--limit-s", min=1.0, help="Give up after this long.")
     ] = 300.0,
-    image_size: ImageSizeOption = "1920x1080",
+    image_size: ImageSizeOption = None,
     datum: DatumOption = None,
     camera_id: CameraIdsOption = None,
     force: ForceOption = False,

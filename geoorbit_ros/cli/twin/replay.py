@@ -43,7 +43,7 @@ def replay(
     net: NetOption,
     out: Annotated[Path, typer.Option("--out", help="Folder for the results; new or empty.")],
     calibration: CalibrationsOption,
-    image_size: ImageSizeOption = "1920x1080",
+    image_size: ImageSizeOption = None,
     datum: DatumOption = None,
     camera_id: CameraIdsOption = None,
     step_s: StepOption = 0.1,
@@ -70,7 +70,6 @@ def replay(
     --calibration north.csv --out twin[/bold]
     """
     from geoorbit_ros.cli.console import console, say
-    from geoorbit_ros.cli.inputs import parse_image_size
     from geoorbit_ros.cli.twin.side_by_side import save_all_side_by_side
     from geoorbit_ros.roadnet.network import load_network
     from geoorbit_ros.storage.atomic import atomic_output
@@ -78,7 +77,7 @@ def replay(
 
     with atomic_output(out, overwrite=force) as folder:
         streams = open_streams(bags, calibration, image_size, datum, camera_id)
-        network, pixels = load_network(net, streams[0].datum), parse_image_size(image_size)
+        network = load_network(net, streams[0].datum)
         said, driven = ["Tracks are where the cameras see them."], None
         if align:
             streams, check, said = align_streams(streams, network)
@@ -90,9 +89,7 @@ def replay(
         lasted_s = run.score.health.steps * step_s
         title = f"{run.score.vehicles} vehicles in {lasted_s:.0f} s on {net.name}"
         save_twin_figure(folder / "twin.png", network, run.paths, title)
-        said += save_all_side_by_side(
-            folder, network, run.busiest.step, streams, bags, calibration, pixels, video
-        )
+        said += save_all_side_by_side(folder, network, run.busiest.step, streams, bags, video)
     _print_score(run.score, streams)
     for sentence in (*said, *run.score.reserved.sentences()):
         say(sentence)
@@ -190,7 +187,7 @@ def align_streams(
 def open_streams(
     bags: list[Path],
     calibrations: list[Path],
-    image_size: str,
+    image_size: str | None,
     datum: str | None,
     camera_ids: list[str] | None = None,
 ) -> list[TrackStream]:
@@ -205,11 +202,10 @@ def open_streams(
     from geoorbit_ros.calibration.control_point_file import read_control_points
     from geoorbit_ros.calibration.homography import fit_homography
     from geoorbit_ros.cli.console import print_remarks, status, track
-    from geoorbit_ros.cli.inputs import parse_datum, parse_image_size
+    from geoorbit_ros.cli.inputs import ASSUMED_SIZE, parse_datum, with_image_size
     from geoorbit_ros.core.errors import InputFileError, ParameterError
     from geoorbit_ros.lanes.pipeline import project_frames
     from geoorbit_ros.storage.track_bag import read_track_bag
-    from geoorbit_ros.storage.tracks.cleaning import ReadOptions
     from geoorbit_ros.twin.replay import TrackStream
 
     if len(bags) != len(calibrations):
@@ -218,15 +214,16 @@ def open_streams(
     if camera_ids and len(camera_ids) != len(bags):
         found = f"{len(camera_ids)} for {len(bags)} bags"
         raise ParameterError("option --camera-id", found, "one per bag, in the same order")
-    size, origin = parse_image_size(image_size), parse_datum(datum)
+    options, origin = with_image_size(image_size), parse_datum(datum)
     streams: list[TrackStream] = []
     asked: list[str | None] = [*camera_ids] if camera_ids else [None] * len(bags)
     for bag, file, camera_id in zip(bags, calibrations, asked, strict=True):
+        with status(f"reading {bag}"):
+            content = read_track_bag(bag, camera_id, options)
+        print_remarks(content.report)
+        size = content.report.image_size or ASSUMED_SIZE
         points = read_control_points(file, origin, image_size=size)
         place = points.need_datum("--datum LAT,LON: where x_m = y_m = 0 is")
-        with status(f"reading {bag}"):
-            content = read_track_bag(bag, camera_id, ReadOptions(size))
-        print_remarks(content.report)
         name = content.camera_id or "camera"
         if any(name == stream.camera for stream in streams):
             found = f"a second bag of camera '{name}'"
@@ -289,7 +286,7 @@ def routes(
     net: NetOption,
     out: Annotated[Path, typer.Option("--out", help="Folder for the files; new or empty.")],
     calibration: CalibrationsOption,
-    image_size: ImageSizeOption = "1920x1080",
+    image_size: ImageSizeOption = None,
     datum: DatumOption = None,
     camera_id: CameraIdsOption = None,
     force: ForceOption = False,

@@ -37,8 +37,6 @@ def save_all_side_by_side(
     step: TwinStep | None,
     streams: Sequence[TrackStream],
     bags: Sequence[Path],
-    calibrations: Sequence[Path],
-    image_size: tuple[int, int],
     video: Path | None,
 ) -> list[str]:
     """Write every camera's image; what they show, or why there is none, in one sentence each.
@@ -47,21 +45,17 @@ def save_all_side_by_side(
         folder: Where they go.
         network: The roads.
         step: The moment; None: no vehicle was ever seen, and nothing is written.
-        streams: Tracks, one per camera.
+        streams: Tracks, one per camera, put on the road by their calibration.
         bags: The same cameras' boxes.
-        calibrations: Their control points.
-        image_size: Width and height of their images.
         video: Of the first camera.
     """
     said: list[str] = []
-    for stream, bag, points in zip(streams, bags, calibrations, strict=True):
+    for stream, bag in zip(streams, bags, strict=True):
         own_video = video if stream is streams[0] else None
         if step is None:
             break
         try:
-            said.append(
-                save_side_by_side(folder, network, step, stream, bag, points, image_size, own_video)
-            )
+            said.append(save_side_by_side(folder, network, step, stream, bag, own_video))
         except GeoOrbitError as error:
             said.append(f"No side-by-side image: {error}")
     return said
@@ -73,8 +67,6 @@ def save_side_by_side(
     step: TwinStep,
     stream: TrackStream,
     bag: Path,
-    calibration: Path,
-    image_size: tuple[int, int],
     video: Path | None,
 ) -> str:
     """Write one camera's image; what it shows, in one sentence.
@@ -83,28 +75,25 @@ def save_side_by_side(
         folder: Where it goes.
         network: The roads.
         step: The moment.
-        stream: The camera's tracks.
+        stream: The camera's tracks, put on the road by their calibration.
         bag: Its boxes.
-        calibration: Its control points.
-        image_size: Width and height of its images.
         video: Its video, which begins with the bag; None shows the boxes alone.
 
     Raises:
         GeoOrbitError: The calibration leaves the camera's height open, or a file can't be read.
     """
-    from geoorbit_ros.calibration.control_point_file import read_control_points
-    from geoorbit_ros.calibration.homography import fit_homography
     from geoorbit_ros.report.image_overlay import write_image
     from geoorbit_ros.storage.track_bag import read_track_bag
     from geoorbit_ros.storage.tracks.cleaning import ReadOptions
     from geoorbit_ros.twin.placement import track_rows
     from geoorbit_ros.twin.side_by_side import TwinCamera
 
-    homography = fit_homography(read_control_points(calibration, stream.datum))
-    camera = TwinCamera(homography, image_size, network.path, stream.datum)
+    projector = stream.projector
+    assert projector is not None, "a stream of boxes was projected"
+    camera = TwinCamera(projector.homography, projector.image_size, network.path, stream.datum)
     # A camera without a name of its own is the only one of its bag.
     camera_id = None if stream.camera == "camera" else stream.camera
-    frames = read_track_bag(bag, camera_id, ReadOptions(image_size)).frames
+    frames = read_track_bag(bag, camera_id, ReadOptions(projector.image_size)).frames
     stamps = frames.stamp_ns
     k = int(np.argmin(np.abs(stamps - step.stamp_ns)))
     image = None if video is None else _image_at(video, int(stamps[k] - stamps[0]))

@@ -49,6 +49,7 @@ class ReadOptions:
         classes: Names of the file's class numbers (`classes.class_table`).
         columns: Names of columns by what they mean.
         strict: Whether any fault refuses the file.
+        default_size: Taken where neither the user nor the file says how large the image is.
     """
 
     image_size: tuple[int, int] | None = None
@@ -56,6 +57,21 @@ class ReadOptions:
     classes: Mapping[str, str] = field(default_factory=dict)
     columns: Mapping[str, str] = field(default_factory=dict)
     strict: bool = False
+    default_size: tuple[int, int] | None = None
+
+    def size(self, said: tuple[int, int] | None, report: InputReport) -> tuple[int, int] | None:
+        """The image's size; what speaks against the user's is noted.
+
+        Args:
+            said: What the file says.
+            report: Of the file; it keeps the size.
+        """
+        if self.image_size and said and said != self.image_size:
+            used, other = ("{}x{}".format(*pixels) for pixels in (self.image_size, said))
+            text = f"the image is {used} as you say, but {other} as the file says; yours is used"
+            report.note(Treatment.NOTED, text)
+        report.image_size = self.image_size or said or self.default_size
+        return report.image_size
 
 
 def clean_tracks(raw: RawTracks, options: ReadOptions, expected: str) -> tuple[Frames, InputReport]:
@@ -73,7 +89,7 @@ def clean_tracks(raw: RawTracks, options: ReadOptions, expected: str) -> tuple[F
     report = raw.report
     if not len(raw):
         raise InputFileError(report.place, "no boxes", expected)
-    size = options.image_size or raw.image_size
+    size = options.size(raw.image_size, report)
     _scale_shares(raw, size)
     use = _usable(raw, size)
     track_id = _ids(raw, use)

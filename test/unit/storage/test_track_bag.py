@@ -28,6 +28,7 @@ from geoorbit_ros.storage.track_bag import read_track_bag, write_track_bag
 from geoorbit_ros.storage.tracks.cleaning import ReadOptions
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 STORAGES: tuple[Storage, ...] = ("mcap", "sqlite3")
 Message = tuple[str, str, int, bytes]
 
@@ -281,6 +282,62 @@ def test_a_table_without_our_fields_is_left_out_and_told(tmp_path: Path) -> None
     only = foreign_bag(tmp_path / "only", track_messages(ground), {"/a/tracks_px": MESSAGE_TYPE})
     with pytest.raises(MessageError, match="message 1: found no field 'height'"):
         read_track_bag(only)
+
+
+def camera_info(topic: str, width: int, height: int, time_ns: int = 10**18) -> Message:
+    info = STORE.types[CAMERA_INFO]
+    header = STORE.types["std_msgs/msg/Header"](
+        STORE.types["builtin_interfaces/msg/Time"](1, 2), ""
+    )
+    region = STORE.types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+    none, matrix = np.empty(0), np.zeros(9)
+    message = info(header, height, width, "", none, matrix, matrix, np.zeros(12), 0, 0, region)
+    return topic, CAMERA_INFO, time_ns, bytes(STORE.serialize_cdr(message, CAMERA_INFO))
+
+
+@pytest.mark.parametrize(
+    ("infos", "size", "told"),
+    [
+        ([("/a/camera_info", 3840, 2160)], (3840, 2160), ""),
+        ([("/a/image/camera_info", 0, 0), ("/a/image/camera_info", 2560, 1440)], (2560, 1440), ""),
+        ([("/camera_info", 3840, 2160)], (3840, 2160), ""),
+        ([("/b/camera_info", 2560, 1440), ("/a/camera_info", 3840, 2160)], (3840, 2160), ""),
+        ([("/b/camera_info", 2560, 1440), ("/c/camera_info", 3840, 2160)], None, ""),
+        ([("/a/camera_info", 0, 0)], None, ""),
+        (
+            [("/a/left/camera_info", 2560, 1440), ("/a/right/camera_info", 3840, 2160)],
+            None,
+            "CameraInfo says different sizes of the image: 2560x1440 on /a/left/camera_info, "
+            "3840x2160 on /a/right/camera_info",
+        ),
+    ],
+)
+def test_camera_info_says_how_large_the_image_is(
+    tmp_path: Path, infos: list[tuple[str, int, int]], size: tuple[int, int] | None, told: str
+) -> None:
+    messages = track_messages(FRAMES) + [camera_info(*info) for info in infos]
+    topics = {"/a/tracks_px": MESSAGE_TYPE} | {info[0]: CAMERA_INFO for info in infos}
+    bag = read_track_bag(foreign_bag(tmp_path / "bag", messages, topics))
+    assert bag.report.image_size == size
+    assert list(bag.report.sentences()) == ([told] if told else [])
+    assert_same(bag.frames, FRAMES)
+
+
+def test_what_the_user_says_of_the_image_goes_before_camera_info(tmp_path: Path) -> None:
+    topics = {"/a/tracks_px": MESSAGE_TYPE, "/a/camera_info": CAMERA_INFO}
+    sized = [*track_messages(FRAMES), camera_info("/a/camera_info", 640, 480)]
+    path = foreign_bag(tmp_path / "sized", sized, topics)
+    report = read_track_bag(path, options=ReadOptions((4000, 3000))).report
+    assert report.image_size == (4000, 3000)
+    (sentence,) = report.sentences()
+    assert sentence.startswith("the image is 4000x3000 as you say, but 640x480 as the file says")
+    cut = [*track_messages(FRAMES), (*camera_info("/a/camera_info", 640, 480)[:3], b"\0\1\0\0\1")]
+    report = read_track_bag(
+        foreign_bag(tmp_path / "cut", cut, topics), options=ReadOptions(default_size=(4000, 3000))
+    ).report
+    assert report.image_size == (4000, 3000)
+    (sentence,) = report.sentences()
+    assert sentence.startswith("a CameraInfo on /a/camera_info can't be read: ")
 
 
 def test_nothing_is_left_of_a_bag_that_could_not_be_written(tmp_path: Path) -> None:
