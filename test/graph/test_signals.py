@@ -102,3 +102,38 @@ def test_a_signal_at_any_moment_of_the_start(
         assert process.returncode in (0, 130), said
         assert len(lines) <= 1, said
         assert list((tmp_path / "out").iterdir()) == []
+
+
+STUCK = """
+import ctypes, sys
+from geoorbit_ros.nodes.support import process
+from geoorbit_ros.nodes.tracker import TrackerNode
+
+class Stuck(TrackerNode):
+    def destroy_node(self):
+        print("destroying", flush=True)
+        ctypes.PyDLL(None).sleep(600)  # with the interpreter's lock, as the middleware does
+
+process.LEAVE_LIMIT_S = 1.0
+sys.exit(process.run_node(Stuck))
+"""
+
+
+def test_a_middleware_that_never_lets_go_keeps_no_node(domain_id: int) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-c", STUCK],
+        env=os.environ | {"ROS_DOMAIN_ID": str(domain_id)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    try:
+        deadline = time.monotonic() + LIMIT_S
+        while not handles_sigterm(process):
+            assert time.monotonic() < deadline, "it never starts"
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        output = process.communicate(timeout=LIMIT_S)[0]
+    finally:
+        process.kill()
+    assert (process.returncode, output) == (0, "destroying\n")
