@@ -29,6 +29,26 @@ class LaneEvidence:
 
 
 @dataclass(frozen=True, slots=True)
+class LaneEdge:
+    """What a lane's boundary was taken from.
+
+    Attributes:
+        source: `paint` where it follows a line in the image, `traffic` where it follows from where
+            vehicles drive.
+        sigma_m: 1-sigma error of its position, mean over the lane.
+        marking: `solid` or `dashed`; empty without a line.
+        colour: `white` or `yellow`; empty without a line.
+        painted_share: Share of the lane's length along which the line is seen.
+    """
+
+    source: Literal["paint", "traffic"]
+    sigma_m: float
+    marking: Literal["", "solid", "dashed"] = ""
+    colour: Literal["", "white", "yellow"] = ""
+    painted_share: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
 class Lane:
     """One lane in the map frame (local ENU metres, REP-103).
 
@@ -45,6 +65,10 @@ class Lane:
         vehicles_missing: How many more vehicles would confirm it; 0 when confirmed.
         sigma_m: 1-sigma lateral error of the centreline, mean over its length.
         evidence: What the confidence was computed from; None when the producer doesn't say.
+        left_edge: What the left boundary was taken from; None when the producer doesn't say.
+        right_edge: The same of the right one.
+        driven_offset_m: How far left of the middle between two painted lines the median driver is;
+            NaN where not both are seen.
     """
 
     lane_id: int
@@ -59,6 +83,9 @@ class Lane:
     vehicles_missing: int = 0
     sigma_m: float = float("nan")
     evidence: LaneEvidence | None = None
+    left_edge: LaneEdge | None = None
+    right_edge: LaneEdge | None = None
+    driven_offset_m: float = float("nan")
 
     @property
     def middle(self) -> tuple[float, float, float]:

@@ -1,16 +1,14 @@
 """Lanes of the traffic and lines of the paint, together: which line bounds which lane.
 
-Vehicles say how many lanes there are and about where; paint says where each one ends. Both are
-weighed in one sum of squared errors over all lanes of a road, smallest over all choices (dynamic
-programming across the road): a line is where vehicles pass on both sides of it, lanes are about as
-wide as lanes are, drivers keep about to the middle, and what is clearly painted counts more than
-what may be a seam or a tyre track. A boundary without a line stays where the traffic has it.
+Vehicles say how many lanes there are and about where; paint says where each one ends. A boundary
+without a line stays where the traffic has it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import hypot
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,39 +16,27 @@ from numpy.typing import NDArray
 from geoorbit_ros.calibration.plane import Homography
 from geoorbit_ros.core.lanes import Lane, LaneEdge, LaneMap
 from geoorbit_ros.core.polylines import project
+from geoorbit_ros.markings.assignment import (
+    DRIVER_SIGMA_M,
+    LANE_WIDTH_M,
+    LANE_WIDTH_SIGMA_M,
+    NEIGHBOUR_M,
+    choose_lines,
+)
 from geoorbit_ros.markings.lines import PaintedLine, find_lines
 from geoorbit_ros.markings.strip import ALONG_M, RoadStrip, rectify
 
 Array = NDArray[np.float64]
 
-LANE_WIDTH_M, LANE_WIDTH_SIGMA_M = 3.5, 0.45
-"""Width of lanes and its 1-sigma: 2.75 m in towns to 4.25 m (AASHTO Green Book 2018: 2.7 to 3.6 m;
-RAA, Germany: 3.25 to 3.75 m; older roads and curves more)."""
-DRIVER_SIGMA_M = 0.40
-"""1-sigma of how far the median driver is from the lane's middle. Measured on real motorway cameras:
-0.24 m towards the neighbouring lane in edge lanes, up to 0.56 m."""
-LINE_WORTH = 6.0
-"""What a clear line speaks for itself, as a sum of squared errors. Chosen: a line that makes a lane
-2.4 sigma too wide is another line."""
-CLEAR_CONTRAST = 5.0
-"""Contrast of a clear line where there is paint, in units of noise; tyre tracks have about 2.5."""
-WORTHLESS_CONTRAST = 2.4
-"""Contrast that says nothing. Measured on the same cameras: tyre tracks and seams."""
-NEAREST_M, FARTHEST_M = 0.8, 3.0
-"""Distance of a lane's boundary from where its drivers are. Half of the narrowest lane (2.5 m) less
-the largest offset of drivers, and half of the widest (4.5 m) and that offset."""
-NEIGHBOUR_M = 5.5
-"""Lanes farther apart have no boundary in common. Chosen: larger takes a painted island for paint
-between two lanes."""
+PARALLEL_M = 1.5
+"""Most by which the distance of two parallel lanes changes: a ramp has lines of its own. Chosen."""
+BESIDE_SHARE = 0.3
+"""Share of the shorter of two lanes along which neighbours run side by side. Chosen."""
 MARGIN_M = 5.0
 """Road beside the outermost lanes that is looked at."""
 EXTENSION_M = 15.0
 """Road before and after the lanes that is looked at: dashes are easier to tell where more of them
 are seen. Chosen: on a curve of 200 m the straight extension is 0.6 m off."""
-LEAST_SHARE = 0.3
-"""A line that accompanies less of a lane is no boundary of it. Chosen."""
-CENTRE_SIGMA_M = 0.15
-"""1-sigma of a lane's centreline by the traffic, as part of the sum."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +45,7 @@ class Road:
 
     Attributes:
         lanes: From right to left of the reference line.
-        centre_m: (N, S) their offsets from the reference line, by station; NaN beside a lane's ends.
+        centre_m: (N, S) their offsets from the reference line, by station; NaN beside its ends.
         strip: The rectified image.
         lines: From right to left.
     """
@@ -95,7 +81,7 @@ def with_painted_edges(lane_map: LaneMap, roads: Sequence[Road]) -> LaneMap:
     """The map with boundaries on the lines; lanes between two lines have their middle there."""
     changed = {}
     for road in roads:
-        choice = _choose(road)
+        choice = choose_lines(road.lines, road.centre_m)
         for k, lane in enumerate(road.lanes):
             changed[lane.lane_id] = _bounded(road, k, *choice[k])
     lanes = tuple(changed.get(lane.lane_id, lane) for lane in lane_map.lanes)
@@ -103,16 +89,18 @@ def with_painted_edges(lane_map: LaneMap, roads: Sequence[Road]) -> LaneMap:
 
 
 def _side_by_side(lanes: Sequence[Lane]) -> list[list[Lane]]:
-    """Lanes in groups, in each of which every lane has a neighbour."""
+    """Lanes in groups, in each of which every lane runs parallel to a neighbour."""
     group = list(range(len(lanes)))
     for i, a in enumerate(lanes):
         for j, b in enumerate(lanes[:i]):
             at = project(a.centerline_m, b.centerline_m)
-            near = at.inside & (np.abs(at.offset_m) < NEIGHBOUR_M)
-            if np.count_nonzero(near) > 0.3 * min(len(near), len(b.centerline_m)):
+            beside = np.abs(at.offset_m[at.inside])
+            enough = len(beside) > BESIDE_SHARE * min(len(at.inside), len(b.centerline_m))
+            if enough and np.median(beside) < NEIGHBOUR_M and np.ptp(beside) < PARALLEL_M:
                 old, new = group[i], group[j]
                 group = [new if g == old else g for g in group]
-    return [[lane for lane, g in zip(lanes, group, strict=True) if g == k] for k in sorted(set(group))]
+    groups = sorted(set(group))
+    return [[lane for lane, g in zip(lanes, group, strict=True) if g == k] for k in groups]
 
 
 def _extended(line_m: Array) -> Array:
@@ -130,91 +118,8 @@ def _by_station(lane: Lane, strip: RoadStrip) -> Array:
     at = project(lane.centerline_m, strip.point_m)
     order = np.argsort(at.arc_m)
     arc = np.append(0.0, np.cumsum(np.hypot(*np.diff(strip.point_m, axis=0).T)))
-    return np.interp(arc, at.arc_m[order], at.offset_m[order], left=np.nan, right=np.nan)
-
-
-def _beside(line: PaintedLine, centre_m: Array) -> float:
-    """Median distance of a line to the left of a lane's centre; NaN if it accompanies too little."""
-    apart = line.offset_m - centre_m
-    known = np.isfinite(apart)
-    if np.count_nonzero(known) < LEAST_SHARE * np.count_nonzero(np.isfinite(centre_m)):
-        return float("nan")
-    return float(np.median(apart[known]))
-
-
-def _worth(line: PaintedLine) -> float:
-    """What the line speaks for itself: 0 for a seam, `LINE_WORTH` for clear paint."""
-    clear = (line.contrast - WORTHLESS_CONTRAST) / (CLEAR_CONTRAST - WORTHLESS_CONTRAST)
-    return LINE_WORTH * min(max(clear, 0.0), 1.0)
-
-
-Choice = tuple[int | None, int | None]
-"""Numbers of the lines right and left of a lane."""
-
-
-def _choose(road: Road) -> list[Choice]:
-    """The lines that bound each lane: the cheapest choice over all lanes together."""
-    lanes = len(road.lanes)
-    side = np.array([[_beside(line, centre) for line in road.lines] for centre in road.centre_m])
-    worth = [_worth(line) for line in road.lines]
-    spacing = [
-        float(np.nanmedian(b - a)) if np.isfinite(b - a).any() else np.inf
-        for a, b in zip(road.centre_m[:-1], road.centre_m[1:], strict=True)
-    ]
-    joined = [gap < NEIGHBOUR_M for gap in spacing]
-
-    def options(k: int, sign: float) -> list[int | None]:
-        if not len(road.lines):
-            return [None]
-        distance = sign * side[k]
-        with np.errstate(invalid="ignore"):
-            near = (distance > NEAREST_M) & (distance < FARTHEST_M)
-        return [None, *(int(i) for i in np.flatnonzero(near) if worth[i] > 0.0)]
-
-    def own(k: int, right: int | None, left: int | None) -> float:
-        """Squared errors of one lane."""
-        a = None if right is None else side[k][right]
-        b = None if left is None else side[k][left]
-        if a is not None and b is not None:
-            width, middle = b - a, 0.5 * (a + b)
-            wide = (width - LANE_WIDTH_M) / LANE_WIDTH_SIGMA_M
-            return float(np.square(wide) + np.square(middle / DRIVER_SIGMA_M))
-        one = -a if a is not None else b
-        if one is None:
-            return 0.0
-        sigma = np.hypot(0.5 * LANE_WIDTH_SIGMA_M, DRIVER_SIGMA_M)
-        return float(np.square((one - 0.5 * LANE_WIDTH_M) / sigma))
-
-    def speaks(line: int | None) -> float:
-        return 0.0 if line is None else -worth[line]
-
-    # best[left] = (cost, choices so far) of the lanes up to k whose last left boundary is `left`.
-    best: dict[int | None, tuple[float, list[Choice]]] = {}
-    for k in range(lanes):
-        before: dict[int | None, tuple[float, list[Choice]]]
-        if k and joined[k - 1]:
-            shared = set(options(k, -1.0))
-            before = {line: value for line, value in best.items() if line in shared or line is None}
-        else:
-            start = min(best.values(), key=lambda value: value[0], default=(0.0, []))
-            before = {
-                line: (start[0] + speaks(line), start[1]) for line in options(k, -1.0)
-            }
-        lefts = options(k, 1.0)
-        if k + 1 < lanes and joined[k]:
-            following = set(options(k + 1, -1.0))
-            lefts = [line for line in lefts if line is None or line in following]
-        best = {
-            left: min(
-                (
-                    (cost + own(k, right, left) + speaks(left), [*chosen, (right, left)])
-                    for right, (cost, chosen) in before.items()
-                ),
-                key=lambda value: value[0],
-            )
-            for left in lefts
-        }
-    return min(best.values(), key=lambda value: value[0])[1]
+    offset = np.interp(arc, at.arc_m[order], at.offset_m[order], left=np.nan, right=np.nan)
+    return np.asarray(offset, dtype=np.float64)
 
 
 def _bounded(road: Road, k: int, right: int | None, left: int | None) -> Lane:
@@ -250,8 +155,8 @@ def _bounded(road: Road, k: int, right: int | None, left: int | None) -> Lane:
         centerline_m=lines[1],
         left_m=lines[2],
         width_m=float(np.nanmean((high - low)[known])),
-        width_sigma_m=float(np.hypot(*sigma)),
-        sigma_m=0.5 * float(np.hypot(*sigma)) if both else lane.sigma_m,
+        width_sigma_m=hypot(*sigma),
+        sigma_m=0.5 * hypot(*sigma) if both else lane.sigma_m,
         right_edge=edges[0],
         left_edge=edges[1],
         driven_offset_m=driven if both else float("nan"),
@@ -285,7 +190,9 @@ def _edge(road: Road, line: int | None, known: NDArray[np.bool_], lane: Lane) ->
     return LaneEdge("paint", float(found.sigma_m[here].mean()), found.kind, found.colour, share)
 
 
-def _width_beside_one_line(lane: Lane, low: Array | None, high: Array | None, centre: Array) -> float:
+def _width_beside_one_line(
+    lane: Lane, low: Array | None, high: Array | None, centre: Array
+) -> float:
     """Width of a lane of which one boundary is painted: what the traffic and the line say."""
     line = low if low is not None else high
     assert line is not None
@@ -302,9 +209,6 @@ def _points(lane: Lane, strip: RoadStrip, offset_m: Array) -> Array:
     index = np.arange(len(offset_m))
     known = np.isfinite(offset_m)
     offset = np.interp(station, index[known], offset_m[known])
-    columns = [
-        np.interp(station, index, values)
-        for values in (*strip.point_m.T, *strip.normal.T)
-    ]
+    columns = [np.interp(station, index, values) for values in (*strip.point_m.T, *strip.normal.T)]
     x, y, normal_x, normal_y = columns
     return np.column_stack((x + offset * normal_x, y + offset * normal_y))

@@ -43,15 +43,26 @@ WINDOW_M = 18.0
 to 18 m), so that each window has a dash."""
 HOP_M = 4.0
 """Distance of two windows. Chosen."""
-MAX_SLOPE = 0.04
-"""Angle between a line and the reference line. Chosen: tapers of lanes are 1 in 25 and flatter."""
+MAX_SLOPE = 0.02
+"""Angle between a line and the reference line. Chosen: vehicles drift by less over `WINDOW_M`."""
 SLOPE_STEP = 0.0025
-"""Chosen: over half a window that is an offset of one line's width at its ends."""
+"""Chosen: over half a window that is an offset of a fifth of a line's width at its ends."""
 MIN_SCORE = 0.7
 """Least mean contrast of a window. Measured on real motorway cameras: texture of roads stays below
 0.5, dashes of a third of the length begin at 1."""
-LINK_M = 0.20
-"""Windows that follow one another belong to one line if it goes on within this distance."""
+KNOT_M = 10.0
+"""A line is straight, beside the reference line, for so long. Chosen: shorter follows noise."""
+BEND_M = 0.24
+"""Most that its offset changes from one knot to the next: lanes taper by 1 in 40 at most where
+traffic drives fast (RAA, MUTCD 3B.09)."""
+BAND_M = 0.8
+"""Most that its offset changes along the strip. Chosen: what the reference line, by the traffic,
+may wander against the paint."""
+STEP_M = 0.04
+"""Steps of the offset at the knots. Chosen: the position is refined afterwards."""
+BEND_COST = 25.0
+"""Cost of `BEND_M` between two knots, in units of a station's contrast: of two ways to go on, the
+straighter one unless the other shows four more metres of paint. Chosen."""
 SEEN_CONTRAST = 2.0
 """Contrast, in units of noise, from which a station shows paint."""
 SOLID_SHARE = 0.8
@@ -59,6 +70,21 @@ SOLID_SHARE = 0.8
 up to two thirds."""
 LEAST_SHARE = 0.1
 """Least share of stations with paint: dashes cover a quarter (MUTCD: 3 m of 12 m) to two thirds."""
+LEAST_SEEN = 0.3
+"""Least share of a window that is seen. Chosen."""
+LEAST_STATIONS = 8
+"""Least number of stations with paint: two metres. Chosen: the shortest dashes are 1 m long."""
+REACH_M = 0.16
+"""Distance from the path in which the line's middle is looked for. Chosen: half of the widest line
+that is looked for."""
+SMOOTH_M = 3.0
+"""1-sigma of the stretch over which the middle is averaged. Chosen: a dash."""
+OUTLIER_M = 0.04
+"""Distance from which a station counts half. Chosen: a third of a narrow line."""
+PROFILE_M = 0.5
+"""Half width of the profile across a line. Chosen: twice that of the widest line."""
+MAX_WIDTH_M = 0.55
+"""Wider stripes are patches and kerbs: lines are at most 0.5 m wide (RMS-1; MUTCD 3A.04)."""
 PARTING_M = 0.45
 """Lines nearer to each other are one line, the stronger one, or a double one. Chosen: the two of a
 double line are 0.1 to 0.3 m apart."""
@@ -98,24 +124,35 @@ class PaintedLine:
 
 def find_lines(strip: RoadStrip) -> list[PaintedLine]:
     """All painted lines along a strip, from right to left."""
-    contrast, width = _contrast(strip)
-    windows = _windows(contrast, strip)
-    lines = [_trace(chain, contrast, width, strip) for chain in _chains(windows)]
-    kept = _without_doubles([line for line in lines if line is not None])
-    return sorted(kept, key=lambda line: float(np.nanmean(line.offset_m)))
+    contrast = _contrast(strip)
+    lines: list[PaintedLine] = []
+    for seed in _seeds(contrast, strip):
+        known = [line.offset_m[seed.station] for line in lines]
+        if any(abs(offset - seed.offset_m) < PARTING_M for offset in known):
+            continue
+        line = _trace(seed, contrast, strip)
+        if line is not None and not any(_same(line, other) for other in lines):
+            lines.append(line)
+            # Paint belongs to one line, the clearer one.
+            beside = np.abs(strip.offset_m - line.offset_m[:, None]) < 0.5 * PARTING_M
+            contrast[beside] = 0.0
+    return sorted(lines, key=lambda line: float(np.nanmean(line.offset_m)))
 
 
-def _contrast(strip: RoadStrip) -> tuple[Array, Array]:
-    """How much each place is brighter than both sides, in units of noise, and for which width."""
+def _same(line: PaintedLine, other: PaintedLine) -> bool:
+    """Whether two lines are closer than `PARTING_M` where both are."""
+    apart = np.abs(line.offset_m - other.offset_m)
+    return bool(np.isfinite(apart).any() and np.nanmedian(apart) < PARTING_M)
+
+
+def _contrast(strip: RoadStrip) -> Array:
+    """(S, D) how much each place is brighter than both sides of it, in units of noise."""
     light = strip.bgr[..., 1:].mean(axis=2, dtype=np.float64)  # yellow is as bright as white
     best = np.full(light.shape, -np.inf)
-    width = np.zeros(light.shape)
     guard_m = float(np.clip(np.median(strip.across_m[strip.seen]), ACROSS_M, 0.1))
     usable = strip.seen & (strip.across_m <= MAX_PIXEL_M)
     for width_m in WIDTHS_M:
-        found = _brighter(light, usable, width_m, guard_m)
-        better = found > best
-        best[better], width[better] = found[better], width_m
+        best = np.maximum(best, _brighter(light, usable, width_m, guard_m))
     usable &= np.isfinite(best)
     best = np.where(usable, best, 0.0)
     # What stands out is not the road's texture: it counts for three times the median at most.
@@ -124,7 +161,7 @@ def _contrast(strip: RoadStrip) -> tuple[Array, Array]:
     reach = round(2.0 * NOISE_REACH_M / ACROSS_M)
     texture = uniform_filter1d(np.minimum(size, 3.0 * middle), reach, axis=1, mode="nearest")
     noise = np.maximum(1.25 * texture, NOISE_FLOOR)
-    return np.where(usable, np.clip(best / noise, -1.0, MOST), 0.0), width
+    return np.where(usable, np.clip(best / noise, -1.0, MOST), 0.0)
 
 
 def _median(size: Array, usable: NDArray[np.bool_]) -> Array:
@@ -135,9 +172,7 @@ def _median(size: Array, usable: NDArray[np.bool_]) -> Array:
     return np.asarray(np.nanmedian(masked, axis=1))[:, None]
 
 
-def _brighter(
-    light: Array, usable: NDArray[np.bool_], width_m: float, guard_m: float
-) -> Array:
+def _brighter(light: Array, usable: NDArray[np.bool_], width_m: float, guard_m: float) -> Array:
     """Mean of a stripe less that of its brighter flank; -inf where one of them isn't seen."""
     half, guard = round(0.5 * width_m / ACROSS_M), round(guard_m / ACROSS_M)
     flank = round(FLANK_M / ACROSS_M)
@@ -148,7 +183,7 @@ def _brighter(
 
     def mean(begin: int, end: int) -> Array:
         low, high = np.clip(at + begin, 0, n), np.clip(at + end, 0, n)
-        whole = count[:, high] - count[:, low] == end - begin
+        whole: NDArray[np.bool_] = np.equal(count[:, high] - count[:, low], end - begin)
         return np.where(whole, (total[:, high] - total[:, low]) / (end - begin), np.nan)
 
     middle = mean(-half, half + 1)
@@ -159,163 +194,169 @@ def _brighter(
 
 
 @dataclass(frozen=True, slots=True)
-class _Window:
-    """A candidate: a stretch in which a stripe stands out.
+class _Seed:
+    """A stretch in which a stripe stands out: its middle, and its mean contrast."""
 
-    Attributes:
-        index: Number of the window along the road.
-        offset_m: Offset at the window's middle.
-        slope: Change of the offset per metre.
-        score: Mean contrast.
-    """
-
-    index: int
+    station: int
     offset_m: float
-    slope: float
     score: float
 
 
-def _windows(contrast: Array, strip: RoadStrip) -> list[list[_Window]]:
-    """Candidates of each window along the road."""
+def _seeds(contrast: Array, strip: RoadStrip) -> list[_Seed]:
+    """Where lines may be, the clearest first."""
     stations, offsets = contrast.shape
     length = min(round(WINDOW_M / ALONG_M), stations)
-    hop = round(HOP_M / ALONG_M)
-    middles = np.arange(length // 2, max(stations - length // 2, length // 2 + 1), hop)
-    seen = uniform_filter1d(
-        (strip.across_m <= MAX_PIXEL_M).astype(np.float64), length, axis=0, mode="constant"
-    )[middles]
-    slopes = np.arange(-MAX_SLOPE, MAX_SLOPE + 1e-9, SLOPE_STEP)
-    sums = np.empty((len(slopes), len(middles), offsets))
-    columns = np.arange(offsets)
     half = length // 2
-    for i, slope in enumerate(slopes):
+    middles = np.arange(half, max(stations - half, half + 1), round(HOP_M / ALONG_M))
+    usable = (strip.across_m <= MAX_PIXEL_M).astype(np.float64)
+    seen = uniform_filter1d(usable, length, axis=0, mode="constant")[middles]
+    columns = np.arange(offsets)
+    best = np.zeros((len(middles), offsets))
+    for slope in np.arange(-MAX_SLOPE, MAX_SLOPE + 1e-9, SLOPE_STEP):
         for j, middle in enumerate(middles):
             rows = np.arange(max(middle - half, 0), min(middle + half + 1, stations))
             shift = np.round(slope * (rows - middle) * ALONG_M / ACROSS_M).astype(np.int64)
             at = np.clip(columns[None, :] + shift[:, None], 0, offsets - 1)
-            sums[i, j] = contrast[rows[:, None], at].mean(axis=0)
+            best[j] = np.maximum(best[j], contrast[rows[:, None], at].mean(axis=0))
     with np.errstate(divide="ignore", invalid="ignore"):
-        sums = np.where(seen > 0.3, sums / seen, 0.0)
-    best, of_slope = sums.max(axis=0), sums.argmax(axis=0)
+        best = np.where(seen > LEAST_SEEN, best / seen, 0.0)
     smooth = gaussian_filter1d(best, 2.0, axis=1)
     peak = (smooth == maximum_filter1d(smooth, round(0.3 / ACROSS_M), axis=1)) & (best > MIN_SCORE)
-    found: list[list[_Window]] = [[] for _ in middles]
-    for j, k in zip(*np.nonzero(peak), strict=True):
-        slope = float(slopes[of_slope[j, k]])
-        found[j].append(
-            _Window(int(middles[j]), float(strip.offset_m[k]), slope, float(best[j, k]))
-        )
-    return found
+    found = [
+        _Seed(int(middles[j]), float(strip.offset_m[k]), float(best[j, k]))
+        for j, k in zip(*np.nonzero(peak), strict=True)
+    ]
+    return sorted(found, key=lambda seed: -seed.score)
 
 
-def _chains(windows: list[list[_Window]]) -> list[list[_Window]]:
-    """Windows that follow one another along one line, the strongest lines first."""
-    free = {(j, k) for j, row in enumerate(windows) for k in range(len(row))}
-    chains = []
-    for j, k in sorted(free, key=lambda jk: -windows[jk[0]][jk[1]].score):
-        if (j, k) not in free:
-            continue
-        free.discard((j, k))
-        chain = [windows[j][k]]
-        for step in (1, -1):
-            last, gap, row = windows[j][k], 0, j + step
-            while 0 <= row < len(windows) and gap < 3:
-                near = [
-                    (abs(w.offset_m - _expected(last, w)), i)
-                    for i, w in enumerate(windows[row])
-                    if (row, i) in free
-                ]
-                distance, i = min(near, default=(np.inf, -1))
-                if distance <= LINK_M:
-                    last, gap = windows[row][i], 0
-                    free.discard((row, i))
-                    chain.append(last)
-                else:
-                    gap += 1
-                row += step
-        chains.append(sorted(chain, key=lambda w: w.index))
-    return chains
+def _path(seed: _Seed, contrast: Array, strip: RoadStrip) -> Array:
+    """(S,) offset of the line through a seed: the most contrast for the least bends.
+
+    Dynamic programming over the offsets at knots, from the seed to both ends of the strip.
+    """
+    stations = len(contrast)
+    levels = np.arange(-round(BAND_M / STEP_M), round(BAND_M / STEP_M) + 1)
+    bends = np.arange(-round(BEND_M / STEP_M), round(BEND_M / STEP_M) + 1)
+    cost = BEND_COST * np.square(bends * STEP_M / BEND_M)
+    step = round(KNOT_M / ALONG_M)
+    first = (seed.offset_m - strip.offset_m[0]) / ACROSS_M
+    path = np.full(stations, seed.offset_m)
+    for way in (1, -1):
+        total = np.where(levels == 0, 0.0, -np.inf)
+        came: list[NDArray[np.int64]] = []
+        knots = [seed.station]
+        while 0 <= knots[-1] + way < stations:
+            at, end = knots[-1], int(np.clip(knots[-1] + way * step, 0, stations - 1))
+            rows = np.arange(at + way, end + way, way)
+            share = (rows - at) / (end - at)
+            best, by = np.full(len(levels), -np.inf), np.zeros(len(levels), dtype=np.int64)
+            for bend, price in zip(bends, cost, strict=True):
+                # Offsets at the end of the piece are `levels`; it came from `levels - bend`.
+                offset = (levels[:, None] - bend * (1.0 - share)) * STEP_M / ACROSS_M
+                column = np.round(first + offset).astype(np.int64)
+                inside = (column >= 0) & (column < contrast.shape[1])
+                value = contrast[rows, np.clip(column, 0, contrast.shape[1] - 1)]
+                before = np.full(len(levels), -np.inf)
+                source = np.arange(len(levels)) - bend
+                valid = (source >= 0) & (source < len(levels))
+                before[valid] = total[source[valid]]
+                score = before + np.where(inside, value, 0.0).sum(axis=1) - price
+                better = score > best
+                best[better], by[better] = score[better], bend
+            total = best
+            came.append(by)
+            knots.append(end)
+        level = int(np.argmax(total))
+        reached = [float(levels[level])]
+        for by in reversed(came):
+            level -= int(by[level])
+            reached.append(float(levels[level]))
+        order = np.argsort(knots)
+        rows = np.arange(min(knots), max(knots) + 1)
+        offset = np.interp(rows, np.array(knots)[order], np.array(reached[::-1])[order])
+        path[rows] = seed.offset_m + offset * STEP_M
+    return path
 
 
-def _expected(last: _Window, other: _Window) -> float:
-    """Offset at which the line of one window is in the middle of another."""
-    slope = 0.5 * (last.slope + other.slope)
-    return last.offset_m + slope * (other.index - last.index) * ALONG_M
+def _extent(value: Array) -> tuple[int, int]:
+    """The stretch whose contrast exceeds `MIN_SCORE` by the largest sum: where the line is."""
+    total = np.append(0.0, np.cumsum(value - MIN_SCORE))
+    lowest = np.minimum.accumulate(total)
+    end = int(np.argmax(total - lowest))
+    begin = int(np.argmin(total[: end + 1]))
+    return begin, end
 
 
-def _trace(
-    chain: list[_Window], contrast: Array, width: Array, strip: RoadStrip
-) -> PaintedLine | None:
-    """The line of a chain of windows, station by station; None if it shows too little paint."""
-    stations = len(strip.station_m)
-    half = round(0.5 * WINDOW_M / ALONG_M)
-    index = np.array([w.index for w in chain])
-    begin, end = max(index[0] - half, 0), min(index[-1] + half + 1, stations)
-    rows = np.arange(begin, end)
-    guess = np.interp(rows, index, [w.offset_m for w in chain])
-    outer = np.where(
-        rows < index[0], (rows - index[0]) * chain[0].slope,
-        np.where(rows > index[-1], (rows - index[-1]) * chain[-1].slope, 0.0),
-    )  # fmt: skip
-    guess = guess + outer * ALONG_M
-    reach = np.arange(-round(0.16 / ACROSS_M), round(0.16 / ACROSS_M) + 1)
+def _trace(seed: _Seed, contrast: Array, strip: RoadStrip) -> PaintedLine | None:
+    """The line through a seed, station by station; None if it shows too little paint."""
+    path = _path(seed, contrast, strip)
+    reach = np.arange(-round(REACH_M / ACROSS_M), round(REACH_M / ACROSS_M) + 1)
+    rows = np.arange(len(path))
+    last = contrast.shape[1] - 1
     for _ in range(2):
-        column = np.round((guess - strip.offset_m[0]) / ACROSS_M).astype(np.int64)
+        column = np.round((path - strip.offset_m[0]) / ACROSS_M).astype(np.int64)
         at = column[:, None] + reach
-        inside = (at >= 0) & (at < contrast.shape[1])
-        value = np.where(inside, contrast[rows[:, None], np.clip(at, 0, contrast.shape[1] - 1)], 0)
+        value = contrast[rows[:, None], np.clip(at, 0, last)]
+        value = np.where((at >= 0) & (at <= last), value, 0.0)
         weight = np.square(np.maximum(value - 0.5, 0.0))
-        total = weight.sum(axis=1)
         with np.errstate(invalid="ignore", divide="ignore"):
-            middle = guess + (weight * reach).sum(axis=1) / total * ACROSS_M
+            middle = path + (weight * reach).sum(axis=1) / weight.sum(axis=1) * ACROSS_M
         peak = value.max(axis=1)
         seen = peak >= SEEN_CONTRAST
-        if np.count_nonzero(seen) < 4:
+        if np.count_nonzero(seen) < LEAST_STATIONS:
             return None
-        guess = _smooth(rows, np.where(seen, middle, np.nan), seen, guess)
-    usable = strip.across_m[rows, np.clip(column, 0, contrast.shape[1] - 1)] <= MAX_PIXEL_M
-    rows_seen = rows[seen]
-    first, last = rows_seen[0], rows_seen[-1]
-    within = (rows >= first) & (rows <= last) & usable
-    share = float(np.count_nonzero(seen & within) / max(np.count_nonzero(within), 1))
-    if share < LEAST_SHARE:
+        path = path + _smooth(middle - path, seen)
+    column = np.clip(column, 0, last)
+    usable = strip.across_m[rows, column] <= MAX_PIXEL_M
+    begin, end = _extent(np.where(usable, peak, MIN_SCORE))
+    within = (rows >= begin) & (rows < end)
+    painted = within & seen & usable
+    share = float(painted.sum() / max(int((within & usable).sum()), 1))
+    if share < LEAST_SHARE or np.count_nonzero(painted) < LEAST_STATIONS:
         return None
-    error = np.where(seen, middle - guess, np.nan)
-    scatter = 1.4826 * float(np.nanmedian(np.abs(error)))
-    offset, sigma = np.full(stations, np.nan), np.full(stations, np.nan)
-    painted = np.zeros(stations, dtype=np.bool_)
-    keep = (rows >= first) & (rows <= last)
-    offset[rows[keep]] = guess[keep]
-    sigma[rows[keep]] = max(scatter, 0.01)
-    painted[rows[seen & keep]] = True
-    columns = np.clip(column, 0, contrast.shape[1] - 1)
+    width_m = _width_m(strip, rows[painted], column[painted])
+    if width_m > MAX_WIDTH_M:
+        return None
+    scatter = 1.4826 * float(np.median(np.abs((middle - path)[painted])))
     return PaintedLine(
-        offset, sigma, painted, float(np.mean(np.clip(peak[within], 0, MOST))),
-        float(np.mean(peak[seen & within])),
-        "solid" if share >= SOLID_SHARE else "dashed",
-        _colour(strip, rows[seen], columns[seen]),
-        float(np.median(width[rows[seen], columns[seen]])),
-    )  # fmt: skip
+        offset_m=np.where(within, path, np.nan),
+        sigma_m=np.where(within, max(scatter, 0.5 * ACROSS_M), np.nan),
+        seen=painted,
+        score=float(np.mean(peak[within & usable])),
+        contrast=float(np.mean(peak[painted])),
+        kind="solid" if share >= SOLID_SHARE else "dashed",
+        colour=_colour(strip, rows[painted], column[painted]),
+        width_m=width_m,
+    )
 
 
-def _smooth(
-    rows: NDArray[np.int64], middle: Array, seen: NDArray[np.bool_], guess: Array
-) -> Array:
-    """The line through the stations with paint: local straight lines, robust to single stations."""
-    error = np.where(seen, middle - guess, 0.0)
+def _smooth(error: Array, seen: NDArray[np.bool_]) -> Array:
+    """(S,) a steady change of the path, by the stations with paint, robust to single ones."""
+    error = np.where(seen, error, 0.0)
     weight = seen.astype(np.float64)
+    fit = np.zeros(len(error))
     for _ in range(3):
-        total = gaussian_filter1d(weight, 3.0 / ALONG_M, mode="nearest")
-        change = gaussian_filter1d(weight * error, 3.0 / ALONG_M, mode="nearest")
+        total = gaussian_filter1d(weight, SMOOTH_M / ALONG_M, mode="nearest")
+        change = gaussian_filter1d(weight * error, SMOOTH_M / ALONG_M, mode="nearest")
         fit = np.where(total > 1e-6, change / np.maximum(total, 1e-6), 0.0)
-        apart = np.abs(error - fit)
-        weight = np.where(seen, 1.0 / (1.0 + np.square(apart / 0.04)), 0.0)
-    return guess + fit
+        weight = np.where(seen, 1.0 / (1.0 + np.square((error - fit) / OUTLIER_M)), 0.0)
+    return fit
 
 
-def _colour(
-    strip: RoadStrip, rows: NDArray[np.int64], columns: NDArray[np.int64]
-) -> Colour:
+def _width_m(strip: RoadStrip, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> float:
+    """Of the paint: from its sharpest edge on one side to that on the other.
+
+    Not down to half of its brightness: beside many an edge line the shoulder is nearly as bright.
+    """
+    reach = round(PROFILE_M / ACROSS_M)
+    at = np.clip(columns[:, None] + np.arange(-reach, reach + 1), 0, strip.bgr.shape[1] - 1)
+    profile = np.median(strip.bgr[rows[:, None], at, 1:].mean(axis=2, dtype=np.float64), axis=0)
+    slope = uniform_filter1d(np.diff(profile), 3)
+    right, left = np.argmax(slope[:reach]), reach + np.argmin(slope[reach:])
+    return float(left - right) * ACROSS_M
+
+
+def _colour(strip: RoadStrip, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> Colour:
     """Of the paint, against the road beside it."""
     paint = np.median(strip.bgr[rows, columns], axis=0)
     beside = round(0.5 / ACROSS_M)
@@ -323,13 +364,3 @@ def _colour(
     road = np.median(np.concatenate([strip.bgr[rows, c] for c in sides]), axis=0)
     ratio = paint / np.maximum(road, 8.0)
     return "yellow" if ratio[0] < YELLOW_RATIO * ratio[1:].mean() else "white"
-
-
-def _without_doubles(lines: list[PaintedLine]) -> list[PaintedLine]:
-    """Of lines closer than `PARTING_M` along most of the shorter one, the one with more paint."""
-    kept: list[PaintedLine] = []
-    for line in sorted(lines, key=lambda one: -one.score * one.length_m):
-        apart = [np.abs(line.offset_m - other.offset_m) for other in kept]
-        if not any(np.nanmedian(a) < PARTING_M for a in apart if np.isfinite(a).any()):
-            kept.append(line)
-    return kept

@@ -73,17 +73,18 @@ def rectify(
     height, width = image.shape[:2]
     with np.errstate(invalid="ignore"):
         inside = (pixel >= BORDER_PX) & (pixel <= np.array([width, height]) - 1.0 - BORDER_PX)
-    seen = inside.all(axis=1)
-    jacobian = homography.jacobian(np.where(seen[:, None], pixel, 0.0))
-    seen = seen.reshape(shape)
+    visible: NDArray[np.bool_] = np.logical_and.reduce(inside, axis=1)
+    jacobian = homography.jacobian(np.where(visible[:, None], pixel, 0.0))
+    seen = visible.reshape(shape)
     # Rows of the inverse: by how many pixels the image moves for a metre across, and along.
     with np.errstate(divide="ignore", invalid="ignore"):
         per_metre = np.linalg.inv(jacobian.reshape(*shape, 2, 2))
     across = np.linalg.norm(np.einsum("sdij,sj->sdi", per_metre, normal), axis=2)
     along = np.linalg.norm(np.einsum("sdij,sj->sdi", per_metre, tangent), axis=2)
-    at = np.where(seen[..., None], pixel.reshape(*shape, 2), -1.0).astype(np.float32)
-    bgr = cv2.remap(image, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderValue=0)
-    bgr = np.where(seen[..., None], bgr, 0).astype(np.float32)
+    # Coordinates count from the corner of the first pixel, as boxes do; OpenCV from its middle.
+    at = np.where(seen[..., None], pixel.reshape(*shape, 2) - 0.5, -1.0).astype(np.float32)
+    sampled = cv2.remap(image, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderValue=0)
+    bgr = np.where(seen[..., None], sampled, 0).astype(np.float32)
     return RoadStrip(
         station, offset, point, normal, bgr, seen,
         np.where(seen, 1.0 / across, np.inf), np.where(seen, 1.0 / along, np.inf),

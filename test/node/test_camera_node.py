@@ -20,7 +20,7 @@ from sensor_msgs.msg import CompressedImage
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.nodes.camera import CameraNode
 from geoorbit_ros.nodes.support.composition import Composition
-from geoorbit_ros.storage.frames import stream
+from geoorbit_ros.storage.frames import open_source
 
 LOSSLESS = {"reliability": "reliable", "queue_depth": 0, "rate": 0.0}
 START_NS = 10**9
@@ -202,7 +202,7 @@ def test_a_video_that_breaks_off_gives_what_it_holds_and_the_node_says_so(
 def test_a_stream_is_stamped_on_arrival_and_its_loss_ends_nothing(
     nodes: Composition, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(stream, "FIRST_WAIT_S", 0.01)
+    monkeypatch.setattr(open_source, "FIRST_WAIT_S", 0.01)
     monkeypatch.setattr("geoorbit_ros.nodes.camera.SILENT_S", 0.2)
     probe = Probe(nodes)
     heard = probe.listen("image/compressed", CompressedImage, KEEP_ALL)

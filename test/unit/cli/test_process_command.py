@@ -10,7 +10,7 @@ from camera_files import CameraFiles
 from mjpeg_server import MjpegServer, grey_image
 
 from geoorbit_ros.cli.main import EXIT_BAD_INPUT, main
-from geoorbit_ros.storage.frames import stream
+from geoorbit_ros.storage.frames import open_source
 
 IMAGE_SIZE = 1920, 1080
 
@@ -96,7 +96,7 @@ def test_a_stream_needs_a_duration_and_is_given_up_in_one_sentence(
 ) -> None:
     out = tmp_path / "out"
     assert "--duration" in refused(capsys, camera, out, "rtsp://127.0.0.1:9/stream")
-    monkeypatch.setattr(stream, "FIRST_WAIT_S", 40.0)
+    monkeypatch.setattr(open_source, "FIRST_WAIT_S", 40.0)
     with MjpegServer() as server:
         sentence = refused(capsys, camera, out, server.address, "--duration", "5")
     assert f"{server.address}: found no answer" in sentence

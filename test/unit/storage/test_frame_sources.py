@@ -12,7 +12,7 @@ import pytest
 from mjpeg_server import MjpegServer, grey_image
 
 from geoorbit_ros.core.errors import GeoOrbitError
-from geoorbit_ros.storage.frames import stream
+from geoorbit_ros.storage.frames import open_source
 from geoorbit_ros.storage.frames.open_source import open_frame_source
 from geoorbit_ros.storage.frames.source import START_NS, FrameSourceError, SourceOptions, to_bgr8
 
@@ -217,7 +217,7 @@ def test_a_rate_must_be_one(tmp_path: Path, fps: float) -> None:
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stream, "FIRST_WAIT_S", 0.01)
+    monkeypatch.setattr(open_source, "FIRST_WAIT_S", 0.01)
 
 
 @pytest.mark.usefixtures("quick")
@@ -257,8 +257,8 @@ def test_a_stream_that_never_answers_is_given_up_in_one_sentence() -> None:
 
 
 def test_pauses_between_attempts_double_up_to_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stream, "FIRST_WAIT_S", 0.001)
-    monkeypatch.setattr(stream, "LONGEST_WAIT_S", 0.004)
+    monkeypatch.setattr(open_source, "FIRST_WAIT_S", 0.001)
+    monkeypatch.setattr(open_source, "LONGEST_WAIT_S", 0.004)
     said: list[str] = []
     with MjpegServer() as server:
         options = SourceOptions(open_timeout_s=0.5, give_up_s=None, report=said.append)

@@ -15,7 +15,7 @@ from made_twin import START_NS, STEP_NS, FakeSimulation, Steps, rows
 
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.cli.main import main
-from geoorbit_ros.mapcheck.empty_lanes import must_be_left
+from geoorbit_ros.mapcheck.discrepancies import must_be_left
 from geoorbit_ros.roadnet.netconvert import netconvert
 from geoorbit_ros.roadnet.network import RoadNetwork, load_network
 from geoorbit_ros.roadnet.reference_lanes import lane_chains

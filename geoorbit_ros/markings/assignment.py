@@ -1,0 +1,151 @@
+"""Which painted line bounds which lane.
+
+One sum of squared errors over all lanes of a road, smallest over all choices (dynamic programming
+across the road): lanes are about as wide as lanes are, drivers keep about to the middle, neighbours
+share a line or have two close together, and what is clearly painted counts more than what may be a
+seam or a tyre track. "No line" is a choice, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.markings.lines import PaintedLine
+
+Array = NDArray[np.float64]
+
+LANE_WIDTH_M, LANE_WIDTH_SIGMA_M = 3.5, 0.45
+"""Width of lanes and its 1-sigma: 2.75 m in towns to 4.25 m (AASHTO Green Book 2018: 2.7 to 3.6 m;
+RAA, Germany: 3.25 to 3.75 m; older roads and curves more)."""
+DRIVER_SIGMA_M = 0.50
+"""1-sigma of how far the median driver is from the lane's middle. Measured on real motorway
+cameras: 0.24 m towards the neighbouring lane in edge lanes, up to 0.56 m; points on the ground that
+a camera beside the road sees are up to 0.9 m off."""
+LINE_WORTH = 6.0
+"""What a clear line speaks for itself, as a sum of squared errors. Chosen: a line that makes a lane
+2.4 sigma too wide is another line."""
+CLEAR_CONTRAST = 4.5
+"""Contrast of a clear line where there is paint, in units of noise; tyre tracks have about 2.5."""
+WORTHLESS_CONTRAST = 2.4
+"""Contrast that says nothing. Measured on the same cameras: tyre tracks and seams."""
+NEAREST_M, FARTHEST_M = 0.8, 3.0
+"""Distance of a lane's boundary from where its drivers are. Half of the narrowest lane (2.5 m) less
+the largest offset of drivers, and half of the widest (4.5 m) and that offset."""
+BUFFER_M = 1.3
+"""Most between two neighbours' own lines: the two of a buffered lane are 0.6 to 1.2 m apart
+(MUTCD 3D.02)."""
+BUFFER_COST = 2.0
+"""What speaks against two lines between two lanes. Chosen: one is the rule."""
+NEIGHBOUR_M = 5.5
+"""Lanes farther apart have no boundary in common. Chosen: larger takes a painted island for paint
+between two lanes."""
+LEAST_SHARE = 0.3
+"""A line that accompanies less of a lane is no boundary of it. Chosen."""
+
+
+Choice = tuple[int | None, int | None]
+"""Numbers of the lines right and left of a lane; None for no line."""
+
+
+def choose_lines(lines: Sequence[PaintedLine], centre_m: Array) -> list[Choice]:
+    """The lines that bound each lane.
+
+    Args:
+        lines: Along the road.
+        centre_m: (N, S) offsets of the lanes' centrelines by the traffic, from right to left; NaN
+            beside a lane's ends.
+    """
+    return _Choosing(lines, centre_m).cheapest()
+
+
+class _Choosing:
+    """The costs of choices, as sums of squared errors."""
+
+    def __init__(self, lines: Sequence[PaintedLine], centre_m: Array) -> None:
+        self._lines = lines
+        self._lanes = len(centre_m)
+        self._worth = [_worth(line) for line in lines]
+        # (N, L) how far left of each lane's centre each line is.
+        self._side = np.full((self._lanes, len(lines)), np.nan)
+        for k, centre in enumerate(centre_m):
+            self._side[k] = [_beside(line, centre) for line in lines]
+        gaps = [_median(b - a) for a, b in pairwise(centre_m)]
+        self._joined = [gap < NEIGHBOUR_M for gap in gaps]
+
+    def cheapest(self) -> list[Choice]:
+        """From right to left, the best way to each choice of a lane's left line is kept."""
+        best: dict[int | None, tuple[float, list[Choice]]] = {}
+        for k in range(self._lanes):
+            following: dict[int | None, tuple[float, list[Choice]]] = {}
+            for right in self._options(k, -1.0):
+                before = [
+                    (cost + self._between(last, right, k - 1), chosen)
+                    for last, (cost, chosen) in best.items()
+                ] or [(0.0, [])]
+                cost, chosen = min(before, key=lambda value: value[0])
+                cost -= self._speaks(right)
+                for left in self._options(k, 1.0):
+                    total = cost + self._own(k, right, left) - self._speaks(left)
+                    if total < following.get(left, (np.inf, []))[0]:
+                        following[left] = (total, [*chosen, (right, left)])
+            best = following
+        return min(best.values(), key=lambda value: value[0])[1]
+
+    def _options(self, k: int, sign: float) -> list[int | None]:
+        """Lines that may bound lane `k` on one side: 1 for the left."""
+        with np.errstate(invalid="ignore"):
+            distance = sign * self._side[k]
+            near = (distance > NEAREST_M) & (distance < FARTHEST_M)
+        return [None, *(int(i) for i in np.flatnonzero(near) if self._worth[i] > 0.0)]
+
+    def _speaks(self, line: int | None) -> float:
+        return 0.0 if line is None else self._worth[line]
+
+    def _own(self, k: int, right: int | None, left: int | None) -> float:
+        """How badly two boundaries fit a lane."""
+        low = None if right is None else float(self._side[k, right])
+        high = None if left is None else float(self._side[k, left])
+        if low is not None and high is not None:
+            wide = (high - low - LANE_WIDTH_M) / LANE_WIDTH_SIGMA_M
+            return wide**2 + (0.5 * (low + high) / DRIVER_SIGMA_M) ** 2
+        one = high if low is None else -low
+        if one is None:
+            return 0.0
+        sigma = float(np.hypot(0.5 * LANE_WIDTH_SIGMA_M, DRIVER_SIGMA_M))
+        return ((one - 0.5 * LANE_WIDTH_M) / sigma) ** 2
+
+    def _between(self, left: int | None, right: int | None, k: int) -> float:
+        """How badly the left line of lane `k` and the right one of the next fit each other."""
+        if not self._joined[k]:
+            return 0.0
+        if left is None or right is None:
+            return 0.0 if left is right else np.inf
+        if left == right:
+            return self._worth[left]  # it speaks once
+        apart = _median(self._lines[right].offset_m - self._lines[left].offset_m)
+        return BUFFER_COST if 0.0 < apart < BUFFER_M else np.inf
+
+
+def _median(values: Array) -> float:
+    """Of the known values; NaN without any."""
+    known = np.isfinite(values)
+    return float(np.median(values[known])) if known.any() else float("nan")
+
+
+def _beside(line: PaintedLine, centre_m: Array) -> float:
+    """Median distance of a line left of a lane's centre; NaN if it accompanies too little."""
+    apart = line.offset_m - centre_m
+    known = np.isfinite(apart)
+    if np.count_nonzero(known) < LEAST_SHARE * np.count_nonzero(np.isfinite(centre_m)):
+        return float("nan")
+    return float(np.median(apart[known]))
+
+
+def _worth(line: PaintedLine) -> float:
+    """What the line speaks for itself: 0 for a seam, `LINE_WORTH` for clear paint."""
+    clear = (line.contrast - WORTHLESS_CONTRAST) / (CLEAR_CONTRAST - WORTHLESS_CONTRAST)
+    return LINE_WORTH * min(max(clear, 0.0), 1.0)

@@ -1,0 +1,110 @@
+"""A road with painted lines as a camera on a pole sees it, drawn pixel by pixel from the ground."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.calibration.control_points import ControlPoints
+from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.calibration.homography import fit_homography
+from geoorbit_ros.calibration.plane import Homography
+from geoorbit_ros.core.lanes import Lane, LaneMap
+from geoorbit_ros.scenes.camera import look_at
+
+IMAGE_SIZE = (1280, 720)
+ROAD_M = (25.0, 95.0)
+"""Where the lanes of `lane_map` begin and end, metres north of the camera."""
+WHITE, YELLOW, ASPHALT = (225.0, 230.0, 230.0), (70.0, 190.0, 215.0), (92.0, 90.0, 88.0)
+SAMPLES = 3
+CURVE_PER_M = 4e-4
+
+
+@dataclass(frozen=True)
+class Stripe:
+    """Something long on the road.
+
+    Attributes:
+        x_m: Its middle, east of the camera.
+        width_m: Width.
+        dash_m, period_m: A dash in each period; a period of 0 is a solid line.
+        colour: BGR.
+        y_m: Where it begins and ends.
+    """
+
+    x_m: float
+    width_m: float = 0.15
+    dash_m: float = 0.0
+    period_m: float = 0.0
+    colour: tuple[float, float, float] = WHITE
+    y_m: tuple[float, float] = (0.0, 200.0)
+
+
+def bend(y_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How far east the road has turned."""
+    return np.asarray(CURVE_PER_M * y_m**2)
+
+
+@cache
+def road_plane() -> Homography:
+    """Of a camera 9 m high beside the road; exact."""
+    camera = look_at(np.array([-9.0, 0.0, 9.0]), np.array([2.0, 45.0, 0.0]), 45.0, IMAGE_SIZE)
+    x, y = np.meshgrid([-8.0, 0.0, 8.0, 14.0], [20.0, 40.0, 70.0, 110.0])
+    ground = np.column_stack([x.ravel(), y.ravel()])
+    pixel, _ = camera.project(np.column_stack([ground, np.zeros(len(ground))]))
+    points = ControlPoints(pixel, ground, Datum(48.0, 11.0), np.arange(len(ground)))
+    return fit_homography(points)
+
+
+def road_image(
+    stripes: Sequence[Stripe], noise: float = 3.0, colour: tuple[float, float, float] = ASPHALT
+) -> NDArray[np.uint8]:
+    """(720, 1280, 3) BGR; grass beside the pavement, which reaches from -4 m to 14 m."""
+    width, height = IMAGE_SIZE
+    random = np.random.default_rng(5)
+    total = np.zeros((height, width, 3))
+    steps = (np.arange(SAMPLES) + 0.5) / SAMPLES
+    for down in steps:
+        for across in steps:
+            u, v = np.meshgrid(np.arange(width) + across, np.arange(height) + down)
+            ground = road_plane().to_ground(np.column_stack([u.ravel(), v.ravel()]))
+            x, y = ground.T.reshape(2, height, width)
+            x = x - bend(y)
+            shown = np.where(np.isfinite(x)[..., None], (60.0, 110.0, 80.0), (200.0, 180.0, 160.0))
+            with np.errstate(invalid="ignore"):
+                shown = np.where(((x > -4.0) & (x < 14.0))[..., None], colour, shown)
+                for one in stripes:
+                    on = np.abs(x - one.x_m) < 0.5 * one.width_m
+                    on &= (y >= one.y_m[0]) & (y < one.y_m[1])
+                    if one.period_m:
+                        on &= y % one.period_m < one.dash_m
+                    shown = np.where(on[..., None], one.colour, shown)
+            total += shown
+    image = total / SAMPLES**2 + random.normal(0.0, noise, total.shape)
+    return np.asarray(np.clip(np.rint(image), 0, 255), dtype=np.uint8)
+
+
+def lane_map(
+    centres_m: Sequence[float], width_m: float = 3.4, opposite: Sequence[bool] = ()
+) -> LaneMap:
+    """Lanes where the traffic has them, by the places of their drivers."""
+    y = np.arange(ROAD_M[0], ROAD_M[1] + 1.0, 2.0)
+    lanes = []
+    for k, x_m in enumerate(centres_m):
+        line, left, right = (
+            np.column_stack([x_m + bend(y) + side, y])
+            for side in (0.0, -0.5 * width_m, 0.5 * width_m)
+        )
+        if k < len(opposite) and opposite[k]:
+            line, left, right = line[::-1], right[::-1], left[::-1]
+        lanes.append(Lane(k + 1, line, left, right, width_m, 0.1, 0.9, "confirmed", 30.0))
+    return LaneMap(1, tuple(lanes))
+
+
+def offset_m(line: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How far east of the road's bend the points of a line are."""
+    return np.asarray(line[:, 0] - bend(line[:, 1]))

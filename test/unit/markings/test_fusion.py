@@ -1,0 +1,129 @@
+"""Boundaries follow the paint where there is some, and the traffic elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from made_markings import ROAD_M, YELLOW, Stripe, lane_map, offset_m, road_image, road_plane
+
+from geoorbit_ros.core.lanes import LaneMap
+from geoorbit_ros.markings.fusion import find_roads, with_painted_edges
+
+MOTORWAY = (
+    Stripe(0.0, 0.25),
+    Stripe(3.75, 0.15, 6.0, 18.0),
+    Stripe(7.5, 0.15, 6.0, 18.0),
+    Stripe(11.25, 0.30),
+)
+DRIVEN_M = (2.15, 5.55, 9.1)
+"""Drivers in the edge lanes keep to the middle of the road."""
+
+
+def painted(lanes: LaneMap, stripes: Sequence[Stripe]) -> LaneMap:
+    return with_painted_edges(lanes, find_roads(lanes, road_image(stripes), road_plane()))
+
+
+@pytest.fixture(scope="module")
+def motorway() -> LaneMap:
+    return painted(lane_map(DRIVEN_M), MOTORWAY)
+
+
+def test_boundaries_lie_on_the_lines(motorway: LaneMap) -> None:
+    for k, lane in enumerate(motorway.lanes):
+        low, high = 3.75 * k, 3.75 * (k + 1)
+        for line, true_m in ((lane.left_m, low), (lane.right_m, high)):
+            assert np.abs(offset_m(line) - true_m).max() < 0.08
+            assert abs(float(offset_m(line).mean()) - true_m) < 0.02
+        middle = 0.5 * (low + high)
+        assert np.abs(offset_m(lane.centerline_m) - middle).max() < 0.08
+        assert lane.width_m == pytest.approx(3.75, abs=0.03)
+        assert lane.driven_offset_m == pytest.approx(middle - DRIVEN_M[k], abs=0.05)
+
+
+def test_edges_say_what_they_are(motorway: LaneMap) -> None:
+    kinds = [(lane.left_edge, lane.right_edge) for lane in motorway.lanes]
+    assert [(a and a.marking, b and b.marking) for a, b in kinds] == [
+        ("solid", "dashed"), ("dashed", "dashed"), ("dashed", "solid"),
+    ]  # fmt: skip
+    for pair in kinds:
+        for edge in pair:
+            assert edge is not None
+            assert (edge.source, edge.colour) == ("paint", "white")
+            assert edge.painted_share > 0.95
+            assert 0.0 < edge.sigma_m < 0.05
+
+
+def test_everything_else_about_the_lanes_stays(motorway: LaneMap) -> None:
+    before = lane_map(DRIVEN_M)
+    for lane, old in zip(motorway.lanes, before.lanes, strict=True):
+        same = ("lane_id", "confidence", "status", "vehicles", "vehicles_missing", "evidence")
+        assert [getattr(lane, n) for n in same] == [getattr(old, n) for n in same]
+        assert len(lane.centerline_m) == len(old.centerline_m)
+    assert (motorway.stamp_ns, motorway.doubtful) == (before.stamp_ns, before.doubtful)
+
+
+def test_a_road_without_paint_keeps_the_lanes_of_its_traffic() -> None:
+    before = lane_map(DRIVEN_M)
+    for lane, old in zip(painted(before, ()).lanes, before.lanes, strict=True):
+        for name in ("centerline_m", "left_m", "right_m"):
+            assert np.array_equal(getattr(lane, name), getattr(old, name))
+        assert lane.width_m == old.width_m
+        assert lane.left_edge is not None
+        assert (lane.left_edge.source, lane.left_edge.marking) == ("traffic", "")
+        assert np.isnan(lane.driven_offset_m)
+
+
+def test_each_direction_has_its_own_left() -> None:
+    yellow = Stripe(3.75, 0.15, colour=YELLOW)
+    lanes = painted(
+        lane_map((1.7, 5.9), opposite=(True, False)), (MOTORWAY[0], yellow, Stripe(7.5))
+    ).lanes
+    for lane in lanes:
+        assert lane.left_edge is not None
+        assert lane.right_edge is not None
+        assert (lane.left_edge.colour, lane.right_edge.colour) == ("yellow", "white")
+        assert abs(float(offset_m(lane.left_m).mean()) - 3.75) < 0.03
+        assert lane.width_m == pytest.approx(3.75, abs=0.04)
+    # Drivers going south are 0.175 m west of their lane's middle: to their right.
+    assert lanes[0].driven_offset_m == pytest.approx(-0.175, abs=0.05)
+    assert lanes[1].driven_offset_m == pytest.approx(-0.275, abs=0.05)
+
+
+def test_a_guard_rail_beyond_the_edge_line_bounds_nothing() -> None:
+    rail = Stripe(12.4, 0.3)
+    lane = painted(lane_map(DRIVEN_M), (*MOTORWAY, rail)).lanes[2]
+    assert abs(float(offset_m(lane.right_m).mean()) - 11.25) < 0.03
+
+
+def test_a_shoulder_is_not_part_of_the_lane() -> None:
+    # The hard shoulder ends where the pavement does, at 14 m, beside another line.
+    lane = painted(lane_map(DRIVEN_M), (*MOTORWAY, Stripe(13.5, 0.12))).lanes[2]
+    assert abs(float(offset_m(lane.right_m).mean()) - 11.25) < 0.03
+
+
+def test_two_lines_between_two_lanes() -> None:
+    stripes = (Stripe(0.0), Stripe(3.5), Stripe(4.4), Stripe(7.9))
+    left, right = painted(lane_map((1.75, 6.15)), stripes).lanes
+    assert abs(float(offset_m(left.right_m).mean()) - 3.5) < 0.03
+    assert abs(float(offset_m(right.left_m).mean()) - 4.4) < 0.03
+
+
+def test_one_line_alone_moves_its_boundary_only() -> None:
+    lane = painted(lane_map((2.0,)), (Stripe(0.0, 0.25),)).lanes[0]
+    assert abs(float(offset_m(lane.left_m).mean())) < 0.03
+    assert 3.2 < lane.width_m < 4.0
+    assert lane.right_edge is not None
+    assert lane.right_edge.source == "traffic"
+    assert np.isnan(lane.driven_offset_m)
+
+
+def test_a_line_that_ends_goes_on_beside_the_lane() -> None:
+    worn = replace(MOTORWAY[0], y_m=(0.0, 65.0))
+    lane = painted(lane_map(DRIVEN_M), (worn, *MOTORWAY[1:])).lanes[0]
+    assert lane.left_edge is not None
+    share = (65.0 - ROAD_M[0]) / (ROAD_M[1] - ROAD_M[0])
+    assert lane.left_edge.painted_share == pytest.approx(share, abs=0.05)
+    assert np.abs(offset_m(lane.left_m)).max() < 0.1
