@@ -14,7 +14,12 @@ from numpy.typing import NDArray
 from geoorbit_ros.calibration.box_projector import BoxProjector
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.calibration.homography import Homography
-from geoorbit_ros.cli.images import DEFAULT_FPS, check_images, shown_images
+from geoorbit_ros.cli.images import (
+    BACKGROUND_SPACING_S,
+    DEFAULT_FPS,
+    check_images,
+    shown_images,
+)
 from geoorbit_ros.cli.inputs import DEFAULT_ESTIMATOR, CameraInput, find_lanes
 from geoorbit_ros.cli.report import describe_method, save_report
 from geoorbit_ros.cli.resume import DetectionRun
@@ -29,7 +34,9 @@ from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.lanes.geojson import write_lanes
 from geoorbit_ros.lanes.mapping.mapper import DEFAULT_UPDATE_PERIOD_S, LaneMapper
 from geoorbit_ros.lanes.pipeline import StampedRows, note_other_classes
-from geoorbit_ros.report.image_overlay import ImageOverlay
+from geoorbit_ros.markings.fusion import follow_paint
+from geoorbit_ros.markings.road_image import RoadBackground
+from geoorbit_ros.report.image_overlay import ImageOverlay, write_image
 from geoorbit_ros.report.recording import Recording
 from geoorbit_ros.storage.frames.source import FrameSource, StampedImage
 from geoorbit_ros.storage.frames.video_writer import VideoWriter
@@ -38,6 +45,8 @@ from geoorbit_ros.tracking.parameters import TrackerParameters
 from geoorbit_ros.tracking.tracker import make_tracker
 
 TRACKS_CSV, LANES, REPORT = "tracks.csv", "lanes.geojson", "report.html"
+ROAD = "road.png"
+"""The road without vehicles, on which the painted lines were found."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +94,7 @@ class CameraRun:
         projector: From boxes to the road; None before the first image.
         seen: Stamp, detections and tracks of every image so far.
         pictures: Of each view the image with the fewest vehicles, for the report.
+        backgrounds: Of each view the road without vehicles.
         views: Notices when the camera shows another view.
     """
 
@@ -95,7 +105,9 @@ class CameraRun:
     projector: BoxProjector | None = None
     seen: list[tuple[int, NDArray[np.void], NDArray[np.void]]] = field(default_factory=list)
     pictures: list[NDArray[np.uint8]] = field(default_factory=list)
+    backgrounds: list[RoadBackground] = field(default_factory=list)
     views: ViewChanges = field(default_factory=ViewChanges)
+    _looked_ns: int = -(10**18)
 
     def ground_tracks(
         self, images: Iterable[StampedImage], video: Path | None = None, fps: float = 25.0
@@ -129,23 +141,28 @@ class CameraRun:
                 self.seen.append((seen.stamp_ns, seen.detections, seen.tracks))
                 if len(self.pictures) <= len(self.views.found):
                     self.pictures.append(image.copy())
+                    self.backgrounds.append(RoadBackground())
                     fewest = len(boxes)
                 elif len(boxes) < fewest:
                     self.pictures[-1], fewest = image.copy(), len(boxes)
+                if stamp_ns - self._looked_ns >= BACKGROUND_SPACING_S * 1e9:
+                    self.backgrounds[-1].add(image)
+                    self._looked_ns = stamp_ns
                 ground = projector.project(seen.stamp_ns, seen.tracks)
                 if writer:
                     writer.write(self._annotated(overlay, seen, ground))
                 yield seen.stamp_ns, ground
 
-    def longest_view(self) -> tuple[int, int, NDArray[np.uint8]]:
-        """First and last stamp of the longest time with one view, and a picture of it."""
+    def longest_view(self) -> tuple[int, int, NDArray[np.uint8], RoadBackground]:
+        """First and last stamp of the longest time with one view, a picture of it, its road."""
         stamps = [stamp_ns for stamp_ns, _, _ in self.seen]
         edges = [stamps[0], *(stamp_ns for stamp_ns, _ in self.views.found), stamps[-1] + 1]
         lengths = np.diff(edges)
         k = int(np.argmax(lengths))
         # The view changed at some time between two looks.
         spare_ns = round(PERIOD_S * 1e9) if k < len(self.views.found) else 0
-        return edges[k], edges[k + 1] - 1 - spare_ns, self.pictures[k]
+        last_ns = edges[k + 1] - 1 - spare_ns
+        return edges[k], last_ns, self.pictures[k], self.backgrounds[k]
 
     def ground_tracks_again(self, first_ns: int, last_ns: int) -> Iterator[StampedRows]:
         """Stamp and `TRACK_DTYPE` rows of the images of one view, already seen."""
@@ -210,6 +227,8 @@ class CameraJob:
     nothing: str = ""
     reports: tuple[InputReport, ...] = ()
     _recording: Recording = field(init=False, default_factory=Recording)
+    _road: NDArray[np.uint8] | None = field(init=False, default=None)
+    _paint: InputReport = field(init=False, default_factory=lambda: InputReport("images"))
 
     def __post_init__(self) -> None:
         self.run = CameraRun(self.homography, self.detection, self._mapper())
@@ -235,6 +254,11 @@ class CameraJob:
             self._recording, self.run.mapper = Recording(), self._mapper()
             again = self.run.ground_tracks_again(*self.run.longest_view()[:2])
             self.lane_map = self._lanes(self._recording.tee(again), images.name)
+        self._road = self.run.longest_view()[3].image()
+        if self._road is not None:
+            self.lane_map = follow_paint(
+                self.lane_map, self._road, self.homography, self.run.image_size, self._paint
+            )
         if doubt_of(self.detection.detector):
             self.lane_map = unconfirmed(self.lane_map)
         self.run.settle_classes()
@@ -267,7 +291,7 @@ class CameraJob:
         remarks.note(Treatment.NOTED, f"{part}: the calibration must be of that view")
 
     def write(self, folder: Path, images: FrameSource) -> None:
-        """Write tracks.csv, lanes.geojson and report.html of lanes that were found in images."""
+        """Write tracks.csv, lanes.geojson, road.png and report.html of lanes found in images."""
         frames, tracks = self.run.track_frames(), folder / TRACKS_CSV
         write_track_csv(tracks, frames)
         write_lanes(
@@ -277,11 +301,14 @@ class CameraJob:
             camera_id=self.camera_id,
             estimator=self.estimator,
         )
+        if self._road is not None:
+            write_image(folder / ROAD, self._road)
         remarks = InputReport(str(tracks), "boxes", len(frames.rows))
         note_other_classes(remarks, frames)
         for sentence in images.remarks.sentences():
             remarks.note(Treatment.NOTED, sentence)
         self._note_views(remarks)
+        remarks.include(self._paint)
         if doubt := doubt_of(self.detection.detector):
             remarks.note(Treatment.DOUBTFUL, doubt)
         if self.nothing:

@@ -27,6 +27,8 @@ can't be followed from one image to the next."""
 LONGEST_S = 120.0
 """Length of a warm-up; of a longer recording, the beginning is used. Chosen: larger, the command
 starts later; smaller, a queue that stands the whole time looks like the road."""
+BACKGROUND_SPACING_S = 2.0
+"""Time between the images of a background. Chosen: a vehicle drives on by its length and more."""
 DEFAULT_FPS = 25.0
 """Frame rate where a source has none of its own: of the annotated video, and to estimate how far a
 command is. It has no influence on tracks and lanes, which go by the stamps."""
@@ -106,6 +108,27 @@ def first_image(images: FrameSource) -> NDArray[np.uint8]:
     for _, image in images:
         return image
     raise FrameSourceError(images.name, "no image that can be used", "at least one")
+
+
+def road_background(source: str) -> NDArray[np.uint8]:
+    """The road without vehicles: a still image as it is, of a film the median of its beginning.
+
+    Raises:
+        FrameSourceError: No image that can be used.
+    """
+    from geoorbit_ros.markings.road_image import RoadBackground
+
+    background = RoadBackground()
+    with open_images(source, ImageOptions(duration_s=LONGEST_S, left_out=LeftOut())) as images:
+        last_ns: int | None = None
+        for stamp_ns, image in shown_images(images, LONGEST_S, "looking at the road"):
+            if last_ns is None or stamp_ns - last_ns >= BACKGROUND_SPACING_S * 1e9:
+                background.add(image)
+                last_ns = stamp_ns
+        road = background.image()
+    if road is None:
+        raise FrameSourceError(images.name, "no image that can be used", "at least one")
+    return road
 
 
 def check_images(images: FrameSource, left_out: LeftOut | None, used: int) -> None:

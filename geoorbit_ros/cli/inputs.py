@@ -14,6 +14,9 @@ from geoorbit_ros.core.plugins import expected, registered
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
+    import numpy as np
+    from numpy.typing import NDArray
+
     from geoorbit_ros.calibration.box_projector import BoxProjector
     from geoorbit_ros.calibration.datum import Datum
     from geoorbit_ros.calibration.homography import Homography
@@ -141,6 +144,13 @@ ImageSizeOption = Annotated[
         "file says, else 1920x1080.",
     ),
 ]
+RoadImageOption = Annotated[
+    str | None,
+    typer.Option(
+        "--image",
+        help="Image, folder or video of the camera: lane boundaries follow its painted lines.",
+    ),
+]
 DatumOption = Annotated[
     str | None,
     typer.Option(
@@ -227,6 +237,18 @@ class CameraInput:
     def find_lanes(self, tracks: Iterable[StampedRows], mapper: LaneMapper) -> LaneMap:
         """See `find_lanes`."""
         return find_lanes(tracks, mapper, str(self.source), lambda: self.projector)
+
+    def follow_paint(
+        self, lane_map: LaneMap, source: str
+    ) -> tuple[LaneMap, InputReport, NDArray[np.uint8]]:
+        """See `markings.fusion.follow_paint`; also the road's image, and what is said about it."""
+        from geoorbit_ros.cli.images import road_background
+        from geoorbit_ros.core.input_report import InputReport
+        from geoorbit_ros.markings.fusion import follow_paint
+
+        image, report = road_background(source), InputReport(source, "images")
+        found = follow_paint(lane_map, image, self.homography, self.image_size, report)
+        return found, report, image
 
     def ground_tracks(self) -> Iterator[StampedRows]:
         """Ground tracks frame by frame, under a progress bar."""

@@ -17,6 +17,7 @@ from geoorbit_ros.cli.inputs import (
     DatumOption,
     EstimatorOption,
     ImageSizeOption,
+    RoadImageOption,
     StrictOption,
     TrackFpsOption,
     TracksOption,
@@ -36,6 +37,7 @@ def lanes(
     estimator: EstimatorOption = DEFAULT_ESTIMATOR,
     image_size: ImageSizeOption = None,
     datum: DatumOption = None,
+    image: RoadImageOption = None,
     update_period_s: UpdatePeriodOption = 5.0,
     fps: TrackFpsOption = None,
     columns: ColumnsOption = None,
@@ -47,7 +49,8 @@ def lanes(
 ) -> None:
     """Find the lanes in a file of vehicle tracks, offline, without a ROS graph.
 
-    The same tracks give the same lanes every time, here and from [bold]geoorbit replay[/bold].
+    The same tracks give the same lanes every time, here and from [bold]geoorbit replay[/bold]. With
+    an image of the camera, lane boundaries follow the painted lines where they are seen.
 
     Example: [bold]geoorbit lanes --tracks tracks.csv --calibration calibration.csv
     --out lanes.geojson --report report.html[/bold]
@@ -65,14 +68,18 @@ def lanes(
         lane_map = camera.find_lanes(
             recording.tee(ground) if report else ground, make_mapper(estimator, update_period_s)
         )
+        view, remarks = None, camera.reports()
+        if image:
+            lane_map, said, view = camera.follow_paint(lane_map, image)
+            remarks = (*remarks, said)
         write_lanes(path, lane_map, camera.datum, camera_id=camera.camera_id, estimator=estimator)
     if report:
         from geoorbit_ros.cli.report import describe_method, save_report
 
         method = describe_method(estimator, update_period_s)
-        save_report(report, camera, lane_map, recording, method)
+        save_report(report, camera, lane_map, recording, method, image=view)
     print_lanes(lane_map, f"Lanes of {camera.camera_id}")
-    print_remarks(*camera.reports())
+    print_remarks(*remarks)
     console.print(f" Wrote {out}" + (f" and {report}" if report else ""), soft_wrap=True)
 
 

@@ -63,8 +63,8 @@ def process(
 
     Without a model a recording is looked at twice, first to learn the road. Into the folder go
     detections.txt and tracks.txt (MOTChallenge text), tracks.csv (for [bold]geoorbit
-    lanes[/bold]), lanes.geojson and report.html. Ctrl-C keeps what was found so far;
-    [bold]--resume[/bold] goes on from there.
+    lanes[/bold]), lanes.geojson, road.png (the road without vehicles) and report.html. Ctrl-C keeps
+    what was found so far; [bold]--resume[/bold] goes on from there.
 
     Example: [bold]geoorbit process north.mp4 --calibration calibration.csv --out north[/bold]
     """

@@ -91,9 +91,12 @@ def report(
     else:
         lane_map = camera.find_lanes(ground, make_mapper(estimator, update_period_s))
         method = describe_method(estimator, update_period_s)
-    view = _view(image, camera.image_size) if image else None
+    view, remarks = _view(image, camera.image_size) if image else None, camera.reports()
+    if image and not lanes:
+        lane_map, said, _ = camera.follow_paint(lane_map, image)
+        remarks = (*remarks, said)
     save_report(out, camera, lane_map, recording, method, true, view)
-    print_remarks(*camera.reports())
+    print_remarks(*remarks)
     console.print(f"{summary_sentence(lane_map.lanes)} Wrote {out}", soft_wrap=True)
 
 

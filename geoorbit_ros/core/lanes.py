@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Status = Literal["confirmed", "tentative"]
+Marking = Literal["", "solid", "dashed"]
+MarkingColour = Literal["", "white", "yellow"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,14 +40,16 @@ class LaneEdge:
         sigma_m: 1-sigma error of its position, mean over the lane.
         marking: `solid` or `dashed`; empty without a line.
         colour: `white` or `yellow`; empty without a line.
+        marking_width_m: Width of the line; NaN without one.
         painted_share: Share of the lane's length along which the line is seen.
     """
 
     source: Literal["paint", "traffic"]
     sigma_m: float
-    marking: Literal["", "solid", "dashed"] = ""
-    colour: Literal["", "white", "yellow"] = ""
+    marking: Marking = ""
+    colour: MarkingColour = ""
     painted_share: float = 0.0
+    marking_width_m: float = float("nan")
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,12 +12,14 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.core.lanes import Lane
+from geoorbit_ros.core.lanes import Lane, LaneEdge
 from geoorbit_ros.exchange import file_facts, lane_facts
 from geoorbit_ros.lanes.geojson import LaneFile
 
 REVISION = ("1", "4")
 """What CARLA 0.9 and SUMO read."""
+MARK_WIDTH_M = 0.12
+"""Of a line whose width isn't known: the usual one between lanes."""
 
 
 def to_opendrive(file: LaneFile) -> str:
@@ -82,12 +84,30 @@ def _add_road(root: Xml.Element, lane: Lane) -> None:
     _add_polynomials(lanes, "laneOffset", "s", s, left)
     section = Xml.SubElement(lanes, "laneSection", s="0")
     centre = Xml.SubElement(section, "center")
-    Xml.SubElement(centre, "lane", id="0", type="none", level="false")
+    border = Xml.SubElement(centre, "lane", id="0", type="none", level="false")
+    _add_mark(border, lane.left_edge)
     side = Xml.SubElement(section, "right")
     driving = Xml.SubElement(side, "lane", id="-1", type="driving", level="false")
     _add_polynomials(driving, "width", "sOffset", s, left + right)
+    _add_mark(driving, lane.right_edge)
     for code, value in lane_facts(lane).items():
         Xml.SubElement(driving, "userData", code=code, value=value)
+
+
+def _add_mark(border: Xml.Element, edge: LaneEdge | None) -> None:
+    """The painted line of a boundary, where the camera saw one (OpenDRIVE 1.4, 5.3.7.2.1.1.4)."""
+    if edge is None or edge.source != "paint":
+        return
+    Xml.SubElement(
+        border,
+        "roadMark",
+        sOffset="0",
+        type="solid" if edge.marking == "solid" else "broken",
+        weight="standard",
+        color="yellow" if edge.colour == "yellow" else "standard",
+        width=_number(edge.marking_width_m if np.isfinite(edge.marking_width_m) else MARK_WIDTH_M),
+        laneChange="none" if edge.marking == "solid" else "both",
+    )
 
 
 def _side_distances(lane: Lane) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -19,7 +19,7 @@ from geoorbit_ros import __version__
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.core.input_report import InputReport
 from geoorbit_ros.core.lane_order import lane_numbers
-from geoorbit_ros.core.lanes import Lane, LaneMap
+from geoorbit_ros.core.lanes import Lane, LaneEdge, LaneMap
 from geoorbit_ros.lanes.geojson_reader import (
     EXPECTED,
     Collection,
@@ -182,14 +182,33 @@ def _lane_features(lane: Lane, lane_number: int, datum: Datum) -> Iterator[dict[
         "sigma_m": _rounded(lane.sigma_m, 3),
         "length_m": _rounded(lane.length_m, 2),
     }
+    if np.isfinite(lane.driven_offset_m):
+        properties["driven_offset_m"] = _rounded(lane.driven_offset_m, 3)
     lines = {"centerline": lane.centerline_m, "left": lane.left_m, "right": lane.right_m}
+    edges = {"left": lane.left_edge, "right": lane.right_edge}
     for role, line_m in lines.items():
+        own = _edge_properties(edges.get(role))
         yield {
             "type": "Feature",
             "id": f"lane-{lane.lane_id}-{role}",
-            "properties": {"lane_id": lane.lane_id, "role": role, **properties},
+            "properties": {"lane_id": lane.lane_id, "role": role, **properties, **own},
             "geometry": {"type": "LineString", "coordinates": _coordinates(line_m, datum)},
         }
+
+
+def _edge_properties(edge: LaneEdge | None) -> dict[str, Any]:
+    """What a boundary was taken from, where that is known."""
+    if edge is None:
+        return {}
+    about = {"boundary_source": edge.source, "boundary_sigma_m": _rounded(edge.sigma_m, 3)}
+    if edge.source == "traffic":
+        return about
+    return about | {
+        "marking": edge.marking,
+        "marking_colour": edge.colour,
+        "marking_width_m": _rounded(edge.marking_width_m, 2),
+        "painted_share": _rounded(edge.painted_share, 2),
+    }
 
 
 def _coordinates(point_m: NDArray[np.float64], datum: Datum) -> list[list[float]]:

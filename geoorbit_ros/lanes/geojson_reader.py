@@ -17,7 +17,15 @@ from numpy.typing import NDArray
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.core.errors import InputFileError
 from geoorbit_ros.core.input_report import InputReport, Treatment
-from geoorbit_ros.core.lanes import CrossSection, Lane, LaneMap, Status
+from geoorbit_ros.core.lanes import (
+    CrossSection,
+    Lane,
+    LaneEdge,
+    LaneMap,
+    Marking,
+    MarkingColour,
+    Status,
+)
 from geoorbit_ros.core.polylines import offset_line, project
 from geoorbit_ros.lanes.geojson_tidying import Tidying, is_number
 
@@ -222,9 +230,11 @@ def _lane(collection: Collection, lane_id: int, roles: dict[str, Line], datum: D
         else:
             half = 0.5 * (width if np.isfinite(width) else DRAWN_WIDTH_M)
             sides.append(offset_line(center, sign * half))
+    edges = [_edge(roles[role].properties) if role in roles else None for role in ROLES[1:]]
     both = "left" in lines and "right" in lines
     if both and _on_left(center, sides[1]) > 0.0 > _on_left(center, sides[0]):
         sides.reverse()
+        edges.reverse()
         text = "left and right of a lane are exchanged"
         collection.report.add(Treatment.REPAIRED, 2, text, f"lane {lane_id}")
     if not np.isfinite(width) and both:
@@ -242,6 +252,31 @@ def _lane(collection: Collection, lane_id: int, roles: dict[str, Line], datum: D
         vehicles=_number(given, "vehicles", float("nan")),
         vehicles_missing=int(_number(given, "vehicles_missing", 0.0)),
         sigma_m=_number(given, "sigma_m", float("nan")),
+        left_edge=edges[0],
+        right_edge=edges[1],
+        driven_offset_m=_number(given, "driven_offset_m", float("nan")),
+    )
+
+
+def _edge(properties: dict[str, Any]) -> LaneEdge | None:
+    """What a boundary was taken from, where the file says so in this program's words."""
+    source, sigma_m = properties.get("boundary_source"), properties.get("boundary_sigma_m")
+    sigma_m = float(sigma_m) if is_number(sigma_m) else float("nan")
+    if source == "traffic":
+        return LaneEdge("traffic", sigma_m)
+    marking: Any = properties.get("marking")
+    colour: Any = properties.get("marking_colour")
+    known = marking in get_args(Marking) and colour in get_args(MarkingColour)
+    if source != "paint" or not known:
+        return None
+    share, width_m = properties.get("painted_share"), properties.get("marking_width_m")
+    return LaneEdge(
+        "paint",
+        sigma_m,
+        marking,
+        colour,
+        float(share) if is_number(share) else float("nan"),
+        float(width_m) if is_number(width_m) else float("nan"),
     )
 
 

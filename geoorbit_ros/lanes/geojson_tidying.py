@@ -25,6 +25,7 @@ _NUMBERS: dict[str, tuple[float, float]] = {
     "confidence": (0.0, 1.0),
     "width_m": (0.0, 100.0),
     "width_sigma_m": (0.0, 100.0),
+    "driven_offset_m": (-20.0, 20.0),
     "vehicles": (0.0, np.inf),
     "vehicles_missing": (0.0, np.inf),
     "sigma_m": (0.0, 1e6),

@@ -10,10 +10,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import hypot
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.plane import Homography
+from geoorbit_ros.core.input_report import InputReport, Treatment
 from geoorbit_ros.core.lanes import Lane, LaneEdge, LaneMap
 from geoorbit_ros.core.polylines import project
 from geoorbit_ros.markings.assignment import (
@@ -24,10 +26,17 @@ from geoorbit_ros.markings.assignment import (
     choose_lines,
 )
 from geoorbit_ros.markings.lines import PaintedLine, find_lines
-from geoorbit_ros.markings.strip import ALONG_M, RoadStrip, rectify
+from geoorbit_ros.markings.road_image import ALONG_M, RoadStrip, rectify
 
 Array = NDArray[np.float64]
 
+MAX_STRETCH = 0.02
+"""Proportions of an image may differ by rounding, not by more. Chosen."""
+MIN_RANGE = 4.0
+"""Least range of brightness of an image that shows anything, in levels of 255. Chosen: a covered
+lens has less, the darkest night more."""
+PIXEL_SIGMA = 0.5
+"""1-sigma of a line's middle in the image. Chosen: optics and encoding leave half a pixel."""
 PARALLEL_M = 1.5
 """Most by which the distance of two parallel lanes changes: a ramp has lines of its own. Chosen."""
 BESIDE_SHARE = 0.3
@@ -48,12 +57,59 @@ class Road:
         centre_m: (N, S) their offsets from the reference line, by station; NaN beside its ends.
         strip: The rectified image.
         lines: From right to left.
+        homography: The camera's road plane.
     """
 
     lanes: tuple[Lane, ...]
     centre_m: Array
     strip: RoadStrip
     lines: tuple[PaintedLine, ...]
+    homography: Homography
+
+
+def follow_paint(
+    lane_map: LaneMap,
+    image: NDArray[np.uint8],
+    homography: Homography,
+    image_size: tuple[int, int],
+    report: InputReport,
+) -> LaneMap:
+    """The map with boundaries on the lines that an image shows; what was found is noted.
+
+    Args:
+        lane_map: Lanes by the traffic.
+        image: (H, W, 3) BGR of the camera that saw the traffic, in any size of its proportions.
+        homography: Its road plane, in the frame of the lanes.
+        image_size: (width, height) of the images that the homography is of.
+        report: On the image.
+    """
+    fault = _fault(image, image_size)
+    if fault:
+        report.note(Treatment.NOTED, f"{fault}: lane boundaries are where the traffic has them")
+        return lane_map
+    if image.shape[1::-1] != image_size:
+        image = np.asarray(cv2.resize(image, image_size), dtype=np.uint8)
+    found = with_painted_edges(lane_map, find_roads(lane_map, image, homography))
+    edges = [edge for lane in found.lanes for edge in (lane.left_edge, lane.right_edge)]
+    painted = sum(edge is not None and edge.source == "paint" for edge in edges)
+    text = f"{painted} of {len(edges)} lane boundaries follow a painted line"
+    if edges and not painted:
+        text = "no painted line is seen along the lanes: boundaries are where the traffic has them"
+    if edges:
+        report.note(Treatment.NOTED, text)
+    return found
+
+
+def _fault(image: NDArray[np.uint8], image_size: tuple[int, int]) -> str:
+    """Why an image can't show the lines of this camera's road; empty where it may."""
+    height, width = image.shape[:2]
+    if abs(width * image_size[1] / (height * image_size[0]) - 1.0) > MAX_STRETCH:
+        wanted = "{}x{}".format(*image_size)
+        return f"an image of {width}x{height} is not of this camera, whose images are {wanted}"
+    low, high = np.quantile(image, (0.02, 0.98))
+    if high - low < MIN_RANGE:
+        return f"nearly all of the image is of one brightness ({low:.0f} to {high:.0f} of 255)"
+    return ""
 
 
 def find_roads(lane_map: LaneMap, image: NDArray[np.uint8], homography: Homography) -> list[Road]:
@@ -73,7 +129,7 @@ def find_roads(lane_map: LaneMap, image: NDArray[np.uint8], homography: Homograp
         order = sorted(range(len(lanes)), key=lambda k: float(np.median(middle[k])))
         ordered = tuple(lanes[k] for k in order)
         centre = np.array([_by_station(lane, strip) for lane in ordered])
-        roads.append(Road(ordered, centre, strip, tuple(find_lines(strip))))
+        roads.append(Road(ordered, centre, strip, tuple(find_lines(strip)), homography))
     return roads
 
 
@@ -187,7 +243,19 @@ def _edge(road: Road, line: int | None, known: NDArray[np.bool_], lane: Lane) ->
     found = road.lines[line]
     here = known & np.isfinite(found.offset_m)
     share = float(np.count_nonzero(here) / np.count_nonzero(known))
-    return LaneEdge("paint", float(found.sigma_m[here].mean()), found.kind, found.colour, share)
+    sigma_m = _sigma_m(road, found, here)
+    return LaneEdge("paint", sigma_m, found.kind, found.colour, share, found.width_m)
+
+
+def _sigma_m(road: Road, line: PaintedLine, here: NDArray[np.bool_]) -> float:
+    """1-sigma of a line's place across the road: of its image, and of the road plane below it."""
+    strip, at = road.strip, np.flatnonzero(here)
+    at = at[:: max(len(at) // 20, 1)]
+    pixel = road.homography.to_pixel(strip.place(line.offset_m)[at])
+    covariance = road.homography.covariance(pixel, PIXEL_SIGMA)
+    normal = strip.normal[at]
+    plane = np.einsum("ni,nij,nj->n", normal, covariance, normal)
+    return float(np.sqrt(np.mean(plane + np.square(line.sigma_m[at]))))
 
 
 def _width_beside_one_line(

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d, uniform_filter1d
 
-from geoorbit_ros.markings.strip import ACROSS_M, ALONG_M, RoadStrip
+from geoorbit_ros.markings.road_image import ACROSS_M, ALONG_M, RoadStrip
 
 Array = NDArray[np.float64]
 Kind = Literal["solid", "dashed"]

@@ -18,7 +18,13 @@ from geoorbit_ros.core.input_report import InputReport, Treatment
 from geoorbit_ros.core.lanes import Lane, LaneMap
 from geoorbit_ros.metrics.score import score_lanes
 from geoorbit_ros.report.recording import Recording
-from geoorbit_ros.report.tables import calibration_table, facts, lane_table, score_table
+from geoorbit_ros.report.tables import (
+    boundary_table,
+    calibration_table,
+    facts,
+    lane_table,
+    score_table,
+)
 from geoorbit_ros.report.text import (
     compass,
     count,
@@ -78,7 +84,7 @@ def report_html(content: ReportInput) -> str:
         f"<header><p class='kicker'>Lane report</p><h1>{escape(title)}</h1>"
         f"<p class='lead'>{escape(summary_sentence(lanes))}</p>{_tiles(content)}</header>",
         _remarks(content.remarks),
-        _section("Lanes", lane_table(lanes) + _list(tentative) + LANE_NOTE),
+        _section("Lanes", lane_table(lanes) + _list(tentative) + LANE_NOTE + _boundaries(lanes)),
         _drawings(content),
         _histograms(content),
     ]
@@ -115,6 +121,13 @@ def _remarks(reports: Sequence[InputReport]) -> str:
         for doubt, text in sorted(told, key=lambda pair: not pair[0])
     )
     return _section("Remarks on the inputs", f"<ul>{items}</ul>")
+
+
+def _boundaries(lanes: Sequence[Lane]) -> str:
+    """What bounds each lane, where an image was looked at for painted lines."""
+    if all(lane.left_edge is None and lane.right_edge is None for lane in lanes):
+        return ""
+    return f"<h3>What bounds each lane</h3>{boundary_table(lanes)}"
 
 
 def _tiles(content: ReportInput) -> str:

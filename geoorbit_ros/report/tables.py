@@ -9,7 +9,7 @@ import numpy as np
 
 from geoorbit_ros.calibration.homography import Homography
 from geoorbit_ros.core.lane_order import lane_numbers, left_to_right
-from geoorbit_ros.core.lanes import Lane
+from geoorbit_ros.core.lanes import Lane, LaneEdge
 from geoorbit_ros.metrics.lane_score import LaneScore
 from geoorbit_ros.report.lane_drawing import direction_groups
 from geoorbit_ros.report.text import compass, number
@@ -61,6 +61,29 @@ def lane_table(lanes: Sequence[Lane]) -> str:
             for lane in left_to_right(lanes)
         ),
     )
+
+
+def boundary_table(lanes: Sequence[Lane]) -> str:
+    """One row per lane: which lines bound it, and where drivers are between them."""
+    return table(
+        ("Lane id", "Left boundary", "Right boundary", ">Drivers left of the middle, m"),
+        (
+            (
+                str(lane.lane_id),
+                _boundary(lane.left_edge),
+                _boundary(lane.right_edge),
+                number(lane.driven_offset_m, signed=True),
+            )
+            for lane in left_to_right(lanes)
+        ),
+    )
+
+
+def _boundary(edge: LaneEdge | None) -> str:
+    if edge is None or edge.source == "traffic":
+        return "by the traffic"
+    seen = f", seen on {edge.painted_share:.0%} of its length" if edge.painted_share < 0.995 else ""
+    return f"{edge.colour} line, {edge.marking}{seen}, ± {number(edge.sigma_m)} m"
 
 
 def score_table(score: LaneScore) -> str:

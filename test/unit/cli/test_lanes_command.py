@@ -8,11 +8,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 from camera_files import CameraFiles, write_tracks
 
 from geoorbit_ros.cli.console import console
+from geoorbit_ros.cli.inputs import read_plane
 from geoorbit_ros.cli.main import main
+from geoorbit_ros.core.polylines import offset_line
+from geoorbit_ros.lanes.geojson import read_lanes
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -54,6 +59,92 @@ def test_lanes_are_found_and_score_against_the_truth(
     data = json.loads(found.read_text(encoding="utf-8"))
     assert data["geoorbit"]["camera_id"] == camera.folder.name
     assert found.with_name("report.html").stat().st_size > 10_000
+
+
+def painted_road(camera: CameraFiles, folder: Path) -> tuple[Path, np.ndarray]:
+    """An image with a white line on every true boundary, and the road plane."""
+    plane = read_plane(camera.calibration)
+    truth = read_lanes(camera.truth, plane.datum)
+    image = np.full((1080, 1920, 3), 90, np.uint8)
+    noise = np.random.default_rng(1).integers(-6, 7, image.shape)
+    image = (image + noise).astype(np.uint8)
+    for lane in truth.lanes:
+        for line in (lane.left_m, lane.right_m):
+            for sides in (np.stack([offset_line(line, d) for d in (0.08, -0.08)]),):
+                ring = np.concatenate([sides[0], sides[1][::-1]])
+                pixel = plane.to_pixel(ring)
+                pixel = pixel[np.isfinite(pixel).all(axis=1)]
+                corners = np.rint((pixel - 0.5) * 16).astype(np.int32)
+                cv2.fillPoly(image, [corners], (235, 235, 235), cv2.LINE_AA, 4)
+    path = folder / "road.png"
+    cv2.imwrite(str(path), image)
+    return path, image
+
+
+def edges_of(path: Path) -> list[str]:
+    features = json.loads(path.read_text(encoding="utf-8"))["features"]
+    return [
+        f["properties"].get("boundary_source", "") for f in features
+        if f["properties"]["role"] != "centerline"
+    ]  # fmt: skip
+
+
+def test_boundaries_follow_the_lines_of_an_image(
+    camera: CameraFiles, found: Path, tmp_path: Path, run: Run
+) -> None:
+    road, _ = painted_road(camera, tmp_path)
+    out, page = tmp_path / "painted.geojson", tmp_path / "report.html"
+    code, said, _ = run(*lanes_of(camera, out, "--image", road, "--report", page))
+    assert code == 0
+    assert "4 of 4 lane boundaries follow a painted line" in " ".join(said.split())
+    assert edges_of(out) == ["paint"] * 4
+    scores = [json.loads(run("score", f, camera.truth, "--json")[1]) for f in (found, out)]
+    assert scores[1]["centerline_mean_m"] < min(scores[0]["centerline_mean_m"], 0.12)
+    assert abs(scores[1]["lanes"][0]["width_error_m"]) < 0.06
+    assert "white line, solid" in page.read_text(encoding="utf-8")
+    again = tmp_path / "again.geojson"
+    run(*lanes_of(camera, again, "--image", road))
+    assert again.read_bytes() == out.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda image: image[:, :1080], "is not of this camera"),
+        (lambda image: np.zeros_like(image), "of one brightness (0 to 0 of 255)"),
+        (lambda image: np.full_like(image, 255), "of one brightness (255 to 255 of 255)"),
+        (lambda image: cv2.GaussianBlur(image, (0, 0), 40), "boundaries are where the traffic"),
+        (lambda image: np.ascontiguousarray(image[::-1]), "no painted line is seen"),
+    ],
+)
+def test_an_image_that_shows_no_lines_leaves_the_lanes_of_the_traffic(
+    camera: CameraFiles,
+    found: Path,
+    tmp_path: Path,
+    run: Run,
+    change: Callable[[np.ndarray], np.ndarray],
+    told: str,
+) -> None:
+    road, image = painted_road(camera, tmp_path)
+    cv2.imwrite(str(road), change(image))
+    out = tmp_path / "lanes.geojson"
+    code, said, _ = run(*lanes_of(camera, out, "--image", road))
+    assert code == 0
+    assert told in " ".join(said.split())
+    assert "paint" not in edges_of(out)
+    before, after = (read_lanes(path) for path in (found, out))
+    for old, new in zip(before.lanes, after.lanes, strict=True):
+        assert np.array_equal(old.centerline_m, new.centerline_m)
+
+
+def test_an_image_of_another_size_of_the_same_view_will_do(
+    camera: CameraFiles, tmp_path: Path, run: Run
+) -> None:
+    road, image = painted_road(camera, tmp_path)
+    cv2.imwrite(str(road), cv2.resize(image, (1280, 720), interpolation=cv2.INTER_AREA))
+    out = tmp_path / "lanes.geojson"
+    assert run(*lanes_of(camera, out, "--image", road))[0] == 0
+    assert edges_of(out) == ["paint"] * 4
 
 
 def test_tables_fit_in_a_terminal_of_80_columns(

@@ -63,7 +63,7 @@ def empty(capsys: pytest.CaptureFixture[str], camera: CameraFiles, out: Path, im
     words = ["process", str(images), "--fps", "10", "--out", str(out), "--calibration"]
     assert main([*words, str(camera.calibration)]) == 0
     assert {file.name for file in out.iterdir()} == {
-        *("detections.txt", "tracks.txt", "tracks.csv", "lanes.geojson", "report.html"),
+        *("detections.txt", "tracks.txt", "tracks.csv", "lanes.geojson", "road.png", "report.html"),
     }
     assert json.loads((out / "lanes.geojson").read_text())["features"] == []
     assert "data:image/jpeg" in (out / "report.html").read_text()

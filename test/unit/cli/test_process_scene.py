@@ -89,7 +89,8 @@ def test_the_tracks_written_give_the_lanes_again(processed: Processed, tmp_path:
     again = tmp_path / "lanes.geojson"
     words = ["lanes", "--tracks", str(processed.out / "tracks.csv"), "--out", str(again)]
     calibration = ["--calibration", str(processed.film / "calibration.csv")]
-    assert main([*words, *calibration, "--image-size", f"{SIZE[0]}x{SIZE[1]}"]) == 0
+    road = ["--image", str(processed.out / "road.png")]
+    assert main([*words, *calibration, *road, "--image-size", f"{SIZE[0]}x{SIZE[1]}"]) == 0
     first, second = (
         read_lane_file(path, processed.datum).lane_map.lanes
         for path in (processed.out / "lanes.geojson", again)
@@ -152,7 +153,7 @@ def test_what_was_seen_before_ctrl_c_is_kept_and_gone_on_from(
     assert main(words) == EXIT_INTERRUPTED
     assert "--resume goes on from there" in capsys.readouterr().err
     assert {path.name for path in out.iterdir()} == {
-        *("detections.txt", "tracks.txt", "tracks.csv", "lanes.geojson", "report.html")
+        *("detections.txt", "tracks.txt", "tracks.csv", "lanes.geojson", "road.png", "report.html")
     }
     part, whole = ((p / "detections.txt").read_text() for p in (out, processed.out))
     assert 0 < len(part) < len(whole)
@@ -184,7 +185,7 @@ def test_a_camera_is_checked_and_added_to_a_fleet(processed: Processed, tmp_path
     assert image is not None
     assert image.shape == (SIZE[1], SIZE[0], 3)
     assert {path.name for path in out.iterdir()} == {
-        *("calibration.png", "tracks.csv", "lanes.geojson", "report.html")
+        *("calibration.png", "tracks.csv", "lanes.geojson", "road.png", "report.html")
     }
     again = [*words[:-3], str(tmp_path / "twice"), *words[-2:]]
     assert main(again) == 2, "a camera of this name is there"

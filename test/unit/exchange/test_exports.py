@@ -13,7 +13,7 @@ import sumolib
 from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.datum import Datum
-from geoorbit_ros.core.lanes import Lane, LaneMap
+from geoorbit_ros.core.lanes import Lane, LaneEdge, LaneMap
 from geoorbit_ros.exchange.lanelet2 import to_lanelet2
 from geoorbit_ros.exchange.opendrive import to_opendrive
 from geoorbit_ros.exchange.sumo import carriageways, to_sumo
@@ -147,3 +147,41 @@ def test_a_lane_that_widens_keeps_its_widths(lanes: LaneFile) -> None:
         point = road_map.get_waypoint(carla.Location(x=float(x), y=-float(y), z=0.0))
         expected = np.hypot(*(left[k] - lane.right_m[k]))
         assert point.lane_width == pytest.approx(expected, abs=0.02)
+
+
+@pytest.fixture
+def painted(lanes: LaneFile) -> LaneFile:
+    """A solid yellow line on the left of every lane, dashes of 0.12 m on its right."""
+    solid = LaneEdge("paint", 0.03, "solid", "yellow", 1.0, 0.25)
+    dashed = LaneEdge("paint", 0.03, "dashed", "white", 1.0, 0.12)
+    found = tuple(replace(x, left_edge=solid, right_edge=dashed) for x in lanes.lane_map.lanes)
+    return replace(lanes, lane_map=replace(lanes.lane_map, lanes=found))
+
+
+def test_carla_reads_the_painted_lines(painted: LaneFile) -> None:
+    road_map = carla.Map("lanes", to_opendrive(painted))
+    for point in road_map.generate_waypoints(5.0):
+        left, right = point.left_lane_marking, point.right_lane_marking
+        assert (left.type, left.color) == (
+            carla.LaneMarkingType.Solid,
+            carla.LaneMarkingColor.Yellow,
+        )
+        assert (right.type, right.color) == (
+            carla.LaneMarkingType.Broken,
+            carla.LaneMarkingColor.Standard,
+        )
+        assert (left.width, right.width) == (pytest.approx(0.25), pytest.approx(0.12))
+        assert left.lane_change == carla.LaneChange.NONE
+
+
+def test_lanelet2_reads_the_painted_lines(painted: LaneFile, tmp_path: Path) -> None:
+    path = tmp_path / "lanes.osm"
+    path.write_text(to_lanelet2(painted), encoding="utf-8")
+    origin = lanelet2.io.Origin(DATUM.latitude_deg, DATUM.longitude_deg)
+    loaded = lanelet2.io.load(str(path), lanelet2.projection.LocalCartesianProjector(origin))
+    lanelets = list(loaded.laneletLayer)
+    assert len(lanelets) == 3
+    for lanelet in lanelets:
+        left, right = lanelet.leftBound.attributes, lanelet.rightBound.attributes
+        assert (left["type"], left["subtype"], left["color"]) == ("line_thick", "solid", "yellow")
+        assert (right["type"], right["subtype"]) == ("line_thin", "dashed")

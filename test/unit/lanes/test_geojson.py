@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from pyproj import Transformer
 
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.core.errors import InputFileError
-from geoorbit_ros.core.lanes import CrossSection, Lane, LaneMap
+from geoorbit_ros.core.lanes import CrossSection, Lane, LaneEdge, LaneMap
 from geoorbit_ros.core.polylines import offset_line
 from geoorbit_ros.lanes.geojson import (
     dumps_lanes,
@@ -127,6 +128,58 @@ def test_features_carry_the_documented_properties() -> None:
     for feature in data["features"]:
         assert set(feature["properties"]) >= DOCUMENTED
         assert feature["geometry"]["type"] == "LineString"
+
+
+SOLID = LaneEdge("paint", 0.03, "solid", "yellow", 0.95, 0.25)
+PAINTED = replace(lane(), left_edge=SOLID, right_edge=LaneEdge("traffic", 0.2))
+
+
+def test_what_bounds_a_lane_goes_along(tmp_path: Path) -> None:
+    path = tmp_path / "lanes.geojson"
+    write_lanes(path, LaneMap(1, (replace(PAINTED, driven_offset_m=-0.24),)), DATUM)
+    features = {
+        feature["properties"]["role"]: feature["properties"]
+        for feature in json.loads(path.read_text())["features"]
+    }
+    assert features["left"]["marking"] == "solid"
+    assert features["left"]["boundary_source"] == "paint"
+    assert features["right"]["boundary_source"] == "traffic"
+    assert "marking" not in features["right"]
+    assert features["centerline"]["driven_offset_m"] == -0.24
+    (back,) = read_lanes(path).lanes
+    assert (back.left_edge, back.driven_offset_m) == (SOLID, -0.24)
+    assert back.right_edge is not None
+    assert (back.right_edge.source, back.right_edge.sigma_m) == ("traffic", 0.2)
+
+
+def test_edges_change_sides_with_boundaries_that_are_exchanged(tmp_path: Path) -> None:
+    path = tmp_path / "lanes.geojson"
+    write_lanes(path, LaneMap(1, (PAINTED,)), DATUM)
+    swap = {"left": "right", "right": "left", "centerline": "centerline"}
+    data = json.loads(path.read_text())
+    for feature in data["features"]:
+        feature["properties"]["role"] = swap[feature["properties"]["role"]]
+    path.write_text(json.dumps(data))
+    (back,) = read_lanes(path).lanes
+    assert back.left_edge == SOLID
+
+
+@pytest.mark.parametrize(
+    "words", [{"marking": "zigzag"}, {"boundary_source": "survey"}, {"marking_colour": 7}]
+)
+def test_words_of_other_programs_about_a_boundary_say_nothing(
+    tmp_path: Path, words: dict[str, object]
+) -> None:
+    path = tmp_path / "lanes.geojson"
+    write_lanes(path, LaneMap(1, (PAINTED,)), DATUM)
+    data = json.loads(path.read_text())
+    for feature in data["features"]:
+        if feature["properties"]["role"] == "left":
+            feature["properties"].update(words)
+    path.write_text(json.dumps(data))
+    (back,) = read_lanes(path).lanes
+    assert back.left_edge is None
+    assert np.allclose(back.left_m, PAINTED.left_m, atol=1e-3)
 
 
 @pytest.mark.parametrize("heading", [0.0, 45.0, 90.0, 200.0, 355.0])

@@ -7,7 +7,7 @@ import pytest
 from made_markings import WHITE, YELLOW, Stripe, bend, road_image, road_plane
 
 from geoorbit_ros.markings.lines import PaintedLine, find_lines
-from geoorbit_ros.markings.strip import RoadStrip, rectify
+from geoorbit_ros.markings.road_image import RoadStrip, rectify
 
 REFERENCE_M = np.column_stack(
     [3.5 + bend(np.arange(20.0, 111.0, 2.0)), np.arange(20.0, 111.0, 2.0)]

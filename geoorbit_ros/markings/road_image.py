@@ -1,4 +1,4 @@
-"""The image of a road, rectified along a line that the road follows: stations by offsets."""
+"""The image of a road: without vehicles, and rectified along a line that the road follows."""
 
 from __future__ import annotations
 
@@ -17,6 +17,40 @@ ACROSS_M = 0.02
 """Distance of two offsets. Chosen: a fifth of the narrowest lines (0.1 m)."""
 BORDER_PX = 2.0
 """Pixels at the image's border that are not used: encoders and undistortion leave edges there."""
+
+
+MAX_IMAGES = 15
+"""Images of which the median is taken. Chosen: a place that vehicles cover in a third of the images
+is free in most of 15; more take memory (6 MB each at 1920x1080)."""
+
+
+class RoadBackground:
+    """The road without vehicles: the median of images that are spread over the time of a film."""
+
+    def __init__(self) -> None:
+        self._images: list[NDArray[np.uint8]] = []
+        self._stride, self._count = 1, 0
+
+    def add(self, image: NDArray[np.uint8]) -> None:
+        """Take one image (H, W, 3); of a long film fewer and fewer are kept."""
+        if self._count % self._stride == 0:
+            if len(self._images) == MAX_IMAGES:
+                self._images = self._images[::2]
+                self._stride *= 2
+            if self._count % self._stride == 0:
+                self._images.append(image.copy())
+        self._count += 1
+
+    def image(self) -> NDArray[np.uint8] | None:
+        """(H, W, 3) uint8; None before the first image.
+
+        In strips, so that a median of many large images takes little memory.
+        """
+        if not self._images:
+            return None
+        rows = np.array_split(np.arange(len(self._images[0])), 16)
+        parts = [np.median([one[k] for one in self._images], axis=0) for k in rows if len(k)]
+        return np.asarray(np.concatenate(parts), dtype=np.uint8)
 
 
 @dataclass(frozen=True, slots=True)
