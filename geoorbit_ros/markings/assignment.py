@@ -32,6 +32,9 @@ CLEAR_CONTRAST = 4.5
 """Contrast of a clear line where there is paint, in units of noise; tyre tracks have about 2.5."""
 WORTHLESS_CONTRAST = 2.4
 """Contrast that says nothing. Measured on the same cameras: tyre tracks and seams."""
+CLEAR_SCORE, WORTHLESS_SCORE = 1.7, 0.9
+"""The same of the contrast averaged over a line's whole length. Dashes of a quarter of the length
+(MUTCD: 3 m of 12 m), clear ones, have 1.7; what shows up here and there along a road less."""
 NEAREST_M, FARTHEST_M = 0.8, 3.0
 """Distance of a lane's boundary from where its drivers are. Half of the narrowest lane (2.5 m) less
 the largest offset of drivers, and half of the widest (4.5 m) and that offset."""
@@ -40,6 +43,12 @@ BUFFER_M = 1.3
 (MUTCD 3D.02)."""
 BUFFER_COST = 2.0
 """What speaks against two lines between two lanes. Chosen: one is the rule."""
+BUFFER_WORTH, BUFFER_SHARE = 0.9, 0.7
+"""Both lines are this clear, as a share of `LINE_WORTH`, and accompany this share of the lane.
+Chosen: beside a lane line there often is a seam or a tyre track."""
+ALONE_COST = 3.0
+"""What speaks against a line that bounds one of two neighbours and not the other. Chosen: true only
+beside a false lane, or an island."""
 NEIGHBOUR_M = 5.5
 """Lanes farther apart have no boundary in common. Chosen: larger takes a painted island for paint
 between two lanes."""
@@ -69,10 +78,16 @@ class _Choosing:
         self._lines = lines
         self._lanes = len(centre_m)
         self._worth = [_worth(line) for line in lines]
-        # (N, L) how far left of each lane's centre each line is.
+        # (N, L) how far left of each lane's centre each line is, and the share of the lane that it
+        # accompanies.
         self._side = np.full((self._lanes, len(lines)), np.nan)
+        self._share = np.zeros(self._side.shape)
         for k, centre in enumerate(centre_m):
-            self._side[k] = [_beside(line, centre) for line in lines]
+            for i, line in enumerate(lines):
+                apart = line.offset_m - centre
+                share = np.isfinite(apart).sum() / max(int(np.isfinite(centre).sum()), 1)
+                self._share[k, i] = share
+                self._side[k, i] = _median(apart) if share >= LEAST_SHARE else np.nan
         gaps = [_median(b - a) for a, b in pairwise(centre_m)]
         self._joined = [gap < NEIGHBOUR_M for gap in gaps]
 
@@ -123,11 +138,14 @@ class _Choosing:
         if not self._joined[k]:
             return 0.0
         if left is None or right is None:
-            return 0.0 if left is right else np.inf
+            return 0.0 if left is right else ALONE_COST
         if left == right:
             return self._worth[left]  # it speaks once
         apart = _median(self._lines[right].offset_m - self._lines[left].offset_m)
-        return BUFFER_COST if 0.0 < apart < BUFFER_M else np.inf
+        beside = 0.0 < apart < BUFFER_M
+        clear = min(self._worth[left], self._worth[right]) >= BUFFER_WORTH * LINE_WORTH
+        lasting = min(self._share[k, left], self._share[k, right]) >= BUFFER_SHARE
+        return BUFFER_COST if beside and clear and lasting else np.inf
 
 
 def _median(values: Array) -> float:
@@ -136,16 +154,8 @@ def _median(values: Array) -> float:
     return float(np.median(values[known])) if known.any() else float("nan")
 
 
-def _beside(line: PaintedLine, centre_m: Array) -> float:
-    """Median distance of a line left of a lane's centre; NaN if it accompanies too little."""
-    apart = line.offset_m - centre_m
-    known = np.isfinite(apart)
-    if np.count_nonzero(known) < LEAST_SHARE * np.count_nonzero(np.isfinite(centre_m)):
-        return float("nan")
-    return float(np.median(apart[known]))
-
-
 def _worth(line: PaintedLine) -> float:
     """What the line speaks for itself: 0 for a seam, `LINE_WORTH` for clear paint."""
     clear = (line.contrast - WORTHLESS_CONTRAST) / (CLEAR_CONTRAST - WORTHLESS_CONTRAST)
-    return LINE_WORTH * min(max(clear, 0.0), 1.0)
+    steady = (line.score - WORTHLESS_SCORE) / (CLEAR_SCORE - WORTHLESS_SCORE)
+    return LINE_WORTH * min(max(clear, 0.0), 1.0) * min(max(steady, 0.0), 1.0)

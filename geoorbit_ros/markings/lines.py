@@ -65,9 +65,17 @@ BEND_COST = 25.0
 straighter one unless the other shows four more metres of paint. Chosen."""
 SEEN_CONTRAST = 2.0
 """Contrast, in units of noise, from which a station shows paint."""
-SOLID_SHARE = 0.8
+SOLID_SHARE = 0.85
 """Share of stations with paint from which a line is solid. Chosen: dashes of warning lines cover
 up to two thirds."""
+PERIOD_M = 15.0
+"""Longest period of dashes that is told from a solid line: 12 m in towns and in the USA, 18 m on
+German motorways, of which 6 m are paint."""
+BEST_PERIODS = 3
+"""So many periods of a line decide, where the camera resolves it best. Chosen: vehicles hide one."""
+MAX_ALONG_M = 0.6
+"""Where a pixel covers more along the road, gaps between dashes are blurred. Chosen: a fifth of the
+shortest usual gap."""
 LEAST_SHARE = 0.1
 """Least share of stations with paint: dashes cover a quarter (MUTCD: 3 m of 12 m) to two thirds."""
 LEAST_SEEN = 0.3
@@ -77,8 +85,9 @@ LEAST_STATIONS = 8
 REACH_M = 0.16
 """Distance from the path in which the line's middle is looked for. Chosen: half of the widest line
 that is looked for."""
-SMOOTH_M = 3.0
-"""1-sigma of the stretch over which the middle is averaged. Chosen: a dash."""
+SMOOTH_M, DASHED_SMOOTH_M = 3.0, 6.0
+"""1-sigma of the stretch over which the middle of solid and dashed lines is averaged. Chosen: half
+the gap between two dashes of the longest period."""
 OUTLIER_M = 0.04
 """Distance from which a station counts half. Chosen: a third of a narrow line."""
 PROFILE_M = 0.5
@@ -305,7 +314,9 @@ def _trace(seed: _Seed, contrast: Array, strip: RoadStrip) -> PaintedLine | None
         seen = peak >= SEEN_CONTRAST
         if np.count_nonzero(seen) < LEAST_STATIONS:
             return None
-        path = path + _smooth(middle - path, seen)
+        share = float(np.mean(seen[np.flatnonzero(seen)[0] : np.flatnonzero(seen)[-1] + 1]))
+        reach_m = SMOOTH_M if share >= SOLID_SHARE else DASHED_SMOOTH_M
+        path = path + _smooth(middle - path, seen, reach_m)
     column = np.clip(column, 0, last)
     usable = strip.across_m[rows, column] <= MAX_PIXEL_M
     begin, end = _extent(np.where(usable, peak, MIN_SCORE))
@@ -324,20 +335,35 @@ def _trace(seed: _Seed, contrast: Array, strip: RoadStrip) -> PaintedLine | None
         seen=painted,
         score=float(np.mean(peak[within & usable])),
         contrast=float(np.mean(peak[painted])),
-        kind="solid" if share >= SOLID_SHARE else "dashed",
+        kind=_kind(painted, np.where(within & usable, strip.along_m[rows, column], np.inf), share),
         colour=_colour(strip, rows[painted], column[painted]),
         width_m=width_m,
     )
 
 
-def _smooth(error: Array, seen: NDArray[np.bool_]) -> Array:
+def _kind(painted: NDArray[np.bool_], along_m: Array, share: float) -> Kind:
+    """Solid where, seen best, a whole period of a dashed line is full of paint.
+
+    Not by the share along all of the line: vehicles, dirt and distance hide parts of solid lines.
+    """
+    length = round(PERIOD_M / ALONG_M)
+    at = np.flatnonzero(along_m <= MAX_ALONG_M)
+    if len(at) >= length:
+        best = np.sort(along_m[at])[min(BEST_PERIODS * length, len(at)) - 1]
+        at = at[along_m[at] <= best]
+        windows = np.convolve(painted[at], np.ones(length), "valid") / length
+        share = float(windows.max())
+    return "solid" if share >= SOLID_SHARE else "dashed"
+
+
+def _smooth(error: Array, seen: NDArray[np.bool_], reach_m: float) -> Array:
     """(S,) a steady change of the path, by the stations with paint, robust to single ones."""
     error = np.where(seen, error, 0.0)
     weight = seen.astype(np.float64)
     fit = np.zeros(len(error))
     for _ in range(3):
-        total = gaussian_filter1d(weight, SMOOTH_M / ALONG_M, mode="nearest")
-        change = gaussian_filter1d(weight * error, SMOOTH_M / ALONG_M, mode="nearest")
+        total = gaussian_filter1d(weight, reach_m / ALONG_M, mode="nearest")
+        change = gaussian_filter1d(weight * error, reach_m / ALONG_M, mode="nearest")
         fit = np.where(total > 1e-6, change / np.maximum(total, 1e-6), 0.0)
         weight = np.where(seen, 1.0 / (1.0 + np.square((error - fit) / OUTLIER_M)), 0.0)
     return fit
