@@ -72,7 +72,7 @@ PERIOD_M = 15.0
 """Longest period of dashes that is told from a solid line: 12 m in towns and in the USA, 18 m on
 German motorways, of which 6 m are paint."""
 BEST_PERIODS = 3
-"""So many periods of a line decide, where the camera resolves it best. Chosen: vehicles hide one."""
+"""So many periods of a line decide: those that are resolved best. Chosen: vehicles may hide one."""
 MAX_ALONG_M = 0.6
 """Where a pixel covers more along the road, gaps between dashes are blurred. Chosen: a fifth of the
 shortest usual gap."""
