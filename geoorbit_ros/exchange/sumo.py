@@ -30,6 +30,8 @@ MIN_SHARE = 0.6
 lanes that are seen over different lengths, smaller makes edges whose lanes end far apart."""
 STEP_M = 2.0
 """Between points at which lanes are compared. Chosen: smaller costs time."""
+MAY_CROSS = "emergency authority"
+"""SUMO's classes of vehicles that may cross a solid line."""
 SPEED_MPS = 13.89
 """50 km/h for all lanes, because a lane map has no limits. Chosen: the usual limit in towns."""
 
@@ -135,15 +137,31 @@ def _plain_xml(file: LaneFile, side: Side) -> tuple[Xml.Element, Xml.Element]:
             spreadType="center",
         )
         for index, lane in enumerate(group):
-            _add_lane(edge, index, lane)
+            changes = _changes(lane, index, len(group)) if side == "right" else {}
+            _add_lane(edge, index, lane, changes)
         _add_facts(edge, file_facts(file))
     return nodes, edges
 
 
-def _add_lane(edge: Xml.Element, index: int, lane: Lane) -> None:
+def _changes(lane: Lane, index: int, lanes: int) -> dict[str, str]:
+    """Who may change to a neighbour: over a solid line only those who may do so anywhere.
+
+    Only where vehicles drive on the right: there SUMO's lanes count from the right.
+    """
+    sides = {"changeLeft": (lane.left_edge, index + 1 < lanes)}
+    sides["changeRight"] = (lane.right_edge, index > 0)
+    return {
+        name: MAY_CROSS
+        for name, (edge, neighbour) in sides.items()
+        if neighbour and edge is not None and edge.marking == "solid"
+    }
+
+
+def _add_lane(edge: Xml.Element, index: int, lane: Lane, changes: dict[str, str]) -> None:
     element = Xml.SubElement(
         edge,
         "lane",
+        changes,
         index=str(index),
         width=f"{lane.width_m:.3f}",
         shape=_shape(lane.centerline_m),

@@ -18,9 +18,10 @@ from geoorbit_ros.markings.lines import PaintedLine
 
 Array = NDArray[np.float64]
 
-LANE_WIDTH_M, LANE_WIDTH_SIGMA_M = 3.5, 0.45
+LANE_WIDTH_M, LANE_WIDTH_SIGMA_M = 3.5, 0.6
 """Width of lanes and its 1-sigma: 2.75 m in towns to 4.25 m (AASHTO Green Book 2018: 2.7 to 3.6 m;
-RAA, Germany: 3.25 to 3.75 m; older roads and curves more)."""
+RAA, Germany: 3.25 to 3.75 m; older roads and curves more), and calibrations that are off by a tenth
+and more."""
 DRIVER_SIGMA_M = 0.50
 """1-sigma of how far the median driver is from the lane's middle. Measured on real motorway
 cameras: 0.24 m towards the neighbouring lane in edge lanes, up to 0.56 m; points on the ground that
@@ -43,7 +44,7 @@ BUFFER_M = 1.3
 (MUTCD 3D.02)."""
 BUFFER_COST = 2.0
 """What speaks against two lines between two lanes. Chosen: one is the rule."""
-BUFFER_WORTH, BUFFER_SHARE = 0.9, 0.7
+BUFFER_WORTH, BUFFER_SHARE = 0.6, 0.7
 """Both lines are this clear, as a share of `LINE_WORTH`, and accompany this share of the lane.
 Chosen: beside a lane line there often is a seam or a tyre track."""
 ALONE_COST = 3.0

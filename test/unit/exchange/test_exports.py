@@ -185,3 +185,24 @@ def test_lanelet2_reads_the_painted_lines(painted: LaneFile, tmp_path: Path) -> 
         left, right = lanelet.leftBound.attributes, lanelet.rightBound.attributes
         assert (left["type"], left["subtype"], left["color"]) == ("line_thick", "solid", "yellow")
         assert (right["type"], right["subtype"]) == ("line_thin", "dashed")
+
+
+def test_sumo_lets_nobody_change_over_a_solid_line(painted: LaneFile, tmp_path: Path) -> None:
+    path = tmp_path / "lanes.net.xml"
+    for file, allowed in ((painted, {"emergency", "authority"}), (unpainted(painted), None)):
+        path.write_text(to_sumo(file), encoding="utf-8")
+        lanes = {
+            (edge.attrib["id"], lane.attrib["index"]): lane.attrib
+            for edge in Xml.parse(path).getroot().iter("edge")
+            for lane in edge.iter("lane")
+        }
+        # The line left of lane 1 is solid, that right of lane 2 is dashed: each lane has its own.
+        left = lanes["lanes_1_2", "0"].get("changeLeft")
+        assert (set(left.split()) if left else None) == allowed
+        assert "changeRight" not in lanes["lanes_1_2", "1"]
+        assert "changeLeft" not in lanes["lanes_1_2", "1"], "there is no lane left of it"
+
+
+def unpainted(file: LaneFile) -> LaneFile:
+    lanes = tuple(replace(x, left_edge=None, right_edge=None) for x in file.lane_map.lanes)
+    return replace(file, lane_map=replace(file.lane_map, lanes=lanes))

@@ -18,6 +18,7 @@ from geoorbit_ros.lanes.pipeline import map_lanes, project_frames
 from geoorbit_ros.metrics.lane_score import LaneScore
 from geoorbit_ros.metrics.score import score_lanes
 from geoorbit_ros.scenes.output import clean_pixels
+from geoorbit_ros.scenes.scene import shipped_scenes
 from geoorbit_ros.scenes.simulate import SceneRun
 from geoorbit_ros.storage.track_csv import write_track_csv
 from geoorbit_ros.storage.tracks.cleaning import ReadOptions
@@ -54,7 +55,7 @@ def against(found: LaneMap, reference: LaneMap) -> LaneScore:
     return score_lanes(found.lanes, reference.lanes)
 
 
-@pytest.mark.parametrize("scene", ["lane_begins", "s_curve"])
+@pytest.mark.parametrize("scene", shipped_scenes())
 def test_faulty_rows_move_no_lane_by_five_centimetres(scene: str, tmp_path: Path) -> None:
     run = run_of(scene, duration_s=30.0)
     clean = clean_pixels(run)
