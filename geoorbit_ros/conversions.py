@@ -23,10 +23,17 @@ from geometry_msgs.msg import (
 )
 from numpy.typing import ArrayLike, NDArray
 from sensor_msgs.msg import NavSatFix, NavSatStatus
-from std_msgs.msg import ColorRGBA, Header
+from std_msgs.msg import (
+    ColorRGBA,
+    Float64MultiArray,
+    Header,
+    MultiArrayDimension,
+    MultiArrayLayout,
+)
 from visualization_msgs.msg import Marker, MarkerArray
 
 from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.calibration.plane import RoadPlane
 from geoorbit_ros.core.cdr import ENCAPSULATION, SECOND_NS, CdrReader, CdrWriter, with_stamp
 from geoorbit_ros.core.errors import MessageError
 from geoorbit_ros.core.lanes import Lane, LaneMap
@@ -70,8 +77,11 @@ _DIMENSION = struct.Struct("<II")
 """Size and stride of std_msgs/MultiArrayDimension, after its label."""
 
 
-JPEG_FORMAT = "bgr8; jpeg compressed bgr8"
-"""As compressed_image_transport writes it."""
+JPEG_FORMAT, PNG_FORMAT = "bgr8; jpeg compressed bgr8", "bgr8; png compressed bgr8"
+"""As compressed_image_transport writes them."""
+PLANE_LABEL = "image width and height, matrix (3x3), spread (8x3x3)"
+"""What the numbers of a road plane are, in their order (`calibration.plane.RoadPlane`)."""
+PLANE_NUMBERS = 2 + 9 + 72
 
 
 def message_class(message_type: str) -> type | None:
@@ -166,6 +176,37 @@ def encode_jpeg(stamp_ns: int, frame_id: str, image: NDArray[np.uint8], quality:
     # OpenCV encodes without holding Python's lock: other threads of the process go on.
     data = cv2.imencode(".jpg", image, (cv2.IMWRITE_JPEG_QUALITY, quality))[1].tobytes()
     return encode_compressed_image(stamp_ns, frame_id, JPEG_FORMAT, data)
+
+
+def encode_png(stamp_ns: int, frame_id: str, image: NDArray[np.uint8]) -> bytes:
+    """An image (H, W, 3), blue-green-red, without loss as a `sensor_msgs/CompressedImage`."""
+    data = cv2.imencode(".png", image)[1].tobytes()
+    return encode_compressed_image(stamp_ns, frame_id, PNG_FORMAT, data)
+
+
+def plane_message(plane: RoadPlane, image_size: tuple[int, int]) -> Float64MultiArray:
+    """A camera's road plane as numbers: width and height in pixels, matrix, spread."""
+    numbers = np.concatenate([np.array(image_size), plane.matrix.ravel(), plane.spread.ravel()])
+    dimension = MultiArrayDimension(label=PLANE_LABEL, size=len(numbers), stride=len(numbers))
+    layout = MultiArrayLayout(dim=[dimension], data_offset=0)
+    return Float64MultiArray(layout=layout, data=numbers.tolist())
+
+
+def plane_of(message: Float64MultiArray, place: str) -> tuple[RoadPlane, tuple[int, int]]:
+    """The road plane and the size of the camera's images.
+
+    Raises:
+        MessageError: Numbers that are none.
+    """
+    numbers = np.array(message.data, dtype=np.float64)
+    if len(numbers) != PLANE_NUMBERS or not np.isfinite(numbers).all():
+        found = f"{len(numbers)} numbers" + (", some not finite" if len(numbers) else "")
+        raise MessageError(place, found, f"{PLANE_NUMBERS} numbers: {PLANE_LABEL}")
+    width, height = (int(value) for value in numbers[:2])
+    if not (16 <= width <= 32768 and 16 <= height <= 32768):
+        raise MessageError(place, f"an image of {width}x{height}", "16 to 32768 pixels a side")
+    plane = RoadPlane(numbers[2:11].reshape(3, 3), numbers[11:].reshape(8, 3, 3))
+    return plane, (width, height)
 
 
 def encode_pose_array(

@@ -28,27 +28,18 @@ class ControlResidual:
 
 
 @dataclass(frozen=True, slots=True)
-class Homography:
-    """The road plane as one camera sees it.
+class RoadPlane:
+    """Pixels and metres on the road, and the error between them.
 
     Attributes:
         matrix: (3, 3) float64, pixel (u, v, 1) to homogeneous local metres; the third component,
             the inverse depth, is positive below the horizon and 1 on average at the control points.
         spread: (8, 3, 3) independent 1-sigma changes of `matrix`: the error that control points
             leave. Zeros when the matrix is exact.
-        points: The control points behind it.
-        residual: Error at each of them.
     """
 
     matrix: NDArray[np.float64]
     spread: NDArray[np.float64]
-    points: ControlPoints
-    residual: ControlResidual
-
-    @property
-    def datum(self) -> Datum | None:
-        """Origin of the map frame, None when the control points were given in metres."""
-        return self.points.datum
 
     @property
     def inverse(self) -> NDArray[np.float64]:
@@ -106,6 +97,24 @@ class Homography:
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             worst = worst_sigma(self.covariance(pixel, sigma_px))
         return np.where(self.visible(pixel), worst, np.inf)
+
+
+@dataclass(frozen=True, slots=True)
+class Homography(RoadPlane):
+    """The road plane as one camera sees it, with the control points that say so.
+
+    Attributes:
+        points: The control points behind it.
+        residual: Error at each of them.
+    """
+
+    points: ControlPoints
+    residual: ControlResidual
+
+    @property
+    def datum(self) -> Datum | None:
+        """Origin of the map frame, None when the control points were given in metres."""
+        return self.points.datum
 
     def describe_residuals(self) -> list[str]:
         """One sentence per control point: where it is, its error, whether it was used."""

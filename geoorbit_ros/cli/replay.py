@@ -19,6 +19,7 @@ from geoorbit_ros.cli.inputs import (
     DatumOption,
     EstimatorOption,
     ImageSizeOption,
+    RoadImageOption,
     StrictOption,
     UpdatePeriodOption,
     load_camera,
@@ -46,6 +47,7 @@ def replay(
     estimator: EstimatorOption = DEFAULT_ESTIMATOR,
     image_size: ImageSizeOption = None,
     datum: DatumOption = None,
+    image: RoadImageOption = None,
     update_period_s: UpdatePeriodOption = 5.0,
     database: Annotated[
         Path | None, typer.Option("--database", help="Also record into this trajectory database.")
@@ -70,6 +72,7 @@ def replay(
     --out lanes.geojson[/bold]
     """
     from geoorbit_ros.cli.console import console, print_lanes, print_remarks
+    from geoorbit_ros.cli.images import road_background
     from geoorbit_ros.nodes.support.bag_replay import ReplayRequest
 
     options = read_options(None, None, "coco", strict)
@@ -78,7 +81,7 @@ def replay(
     size, quiet = camera.image_size, not verbose
     request = ReplayRequest(
         bag, calibration, camera.camera_id, datum_deg, size, rate, estimator, update_period_s,
-        database, domain_id, quiet,
+        database, road_background(image) if image else None, domain_id, quiet,
     )  # fmt: skip
     with as_the_nodes_take_it(camera) as played:
         lane_map, elapsed_s = _run(replace(request, bag=played), camera, out)

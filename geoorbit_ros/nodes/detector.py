@@ -26,6 +26,7 @@ from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.nodes.support.image_stream import ImageStream
 from geoorbit_ros.nodes.support.process import run_node
 from geoorbit_ros.nodes.support.qos import LATCHED, stream_qos
+from geoorbit_ros.nodes.support.road_paint import RoadImagePublisher
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +41,7 @@ class DetectorParameters:
     providers: str
     threads: int
     only_on_road: bool
+    road_image_period_s: float
     reliability: str
     queue_depth: int
     restart_jump_s: float
@@ -49,6 +51,7 @@ class DetectorNode(GeoOrbitNode[DetectorParameters]):
     """Subscribes `image/compressed` and `image`; publishes `detections`, one table per image.
 
     Where vehicles drive is learnt and published, latched, as `road_segments/segment_<k>` in pixels.
+    The road without vehicles is published now and then, latched, as `road_image/compressed`.
 
     Attributes:
         detections: The publisher of tables.
@@ -73,6 +76,9 @@ class DetectorNode(GeoOrbitNode[DetectorParameters]):
             PointCloud2, "detections", stream_qos(p.reliability, p.queue_depth)
         )
         self._found = 0
+        self._road = (
+            RoadImagePublisher(self, p.road_image_period_s) if p.road_image_period_s else None
+        )
         self.stream = ImageStream(self, p, self._on_image, self._on_restart)
         self.diagnostics.add_check(self._fault)
         self.diagnostics.add_check(lambda: doubt_of(self._detector) or None)
@@ -86,12 +92,15 @@ class DetectorNode(GeoOrbitNode[DetectorParameters]):
             "boxes_outside_road_segments": segments.outside if segments else 0,
             "road_segments": len(self._drawn),
             "dropped": self.stream.dropped,
+            "road_images": self._road.published if self._road else 0,
             "detections_subscribers": self.detections.get_subscription_count(),
         }
 
     def close(self) -> None:
-        """End the thread."""
+        """End the threads."""
         self.stream.stop()
+        if self._road is not None:
+            self._road.close()
 
     def _make(self) -> Detector:
         p = self.p
@@ -110,6 +119,8 @@ class DetectorNode(GeoOrbitNode[DetectorParameters]):
 
     def _on_image(self, stamp_ns: int, frame_id: str, image: NDArray[np.uint8]) -> None:
         rows = self._detector.detect(stamp_ns, image)
+        if self._road is not None:
+            self._road.add(stamp_ns, frame_id, image)
         if self._segments is None:
             self._segments = RoadSegments((image.shape[1], image.shape[0]))
         inside = self._segments.add(stamp_ns, rows)
@@ -130,7 +141,9 @@ class DetectorNode(GeoOrbitNode[DetectorParameters]):
             publisher.publish(pixel_polygon(stamp_ns, frame_id, contour))
 
     def _on_restart(self) -> None:
-        """The road stays where it is: nothing is forgotten."""
+        """The road stays where it is, but stamps begin anew."""
+        if self._road is not None:
+            self._road.restart()
 
     def _fault(self) -> str | None:
         error = self.stream.error

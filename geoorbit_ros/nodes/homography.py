@@ -10,16 +10,24 @@ import numpy as np
 from geometry_msgs.msg import PoseArray
 from numpy.typing import NDArray
 from sensor_msgs.msg import NavSatFix, PointCloud2
+from std_msgs.msg import Float64MultiArray
 
 from geoorbit_ros.calibration.box_projector import BoxProjector
 from geoorbit_ros.calibration.control_point_file import read_control_points
 from geoorbit_ros.calibration.datum import given_datum
 from geoorbit_ros.calibration.homography import fit_homography
-from geoorbit_ros.conversions import datum_to_fix, encode_pose_array, encode_table, vehicle_poses
+from geoorbit_ros.conversions import (
+    datum_to_fix,
+    encode_pose_array,
+    encode_table,
+    plane_message,
+    vehicle_poses,
+)
 from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.nodes.support.process import run_node
 from geoorbit_ros.nodes.support.qos import LATCHED, stream_qos
+from geoorbit_ros.nodes.support.road_paint import PLANE_TOPIC
 from geoorbit_ros.nodes.support.table_stream import TableStream
 
 
@@ -43,7 +51,7 @@ class HomographyParameters:
 
 
 class HomographyNode(GeoOrbitNode[HomographyParameters]):
-    """Subscribes `tracks_px`; publishes `tracks`, `vehicles` and, latched, `datum`.
+    """Subscribes `tracks_px`; publishes `tracks`, `vehicles`; latched: `datum`, `road_plane`.
 
     Every frame of `tracks_px` that can be used becomes one frame of `tracks` with its stamp, also
     when no vehicle is left in it.
@@ -84,6 +92,8 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
         self._vehicles = self.create_publisher(PoseArray, "vehicles", qos)
         self._fix = self.create_publisher(NavSatFix, "datum", LATCHED)
         self._fix.publish(datum_to_fix(origin, p.frame_id))
+        self._plane = self.create_publisher(Float64MultiArray, PLANE_TOPIC, LATCHED)
+        self._plane.publish(plane_message(self._homography, size))
         self._on_road = 0
         TableStream(self, "tracks_px", PIXEL_TRACK_DTYPE, p, self._on_frame, self._projector.reset)
 

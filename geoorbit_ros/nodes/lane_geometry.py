@@ -27,6 +27,7 @@ from geoorbit_ros.nodes.support.lane_publisher import LanePublisher
 from geoorbit_ros.nodes.support.process import run_node
 from geoorbit_ros.nodes.support.qos import LATCHED
 from geoorbit_ros.nodes.support.reference_listener import PriorListener
+from geoorbit_ros.nodes.support.road_paint import PaintListener
 from geoorbit_ros.nodes.support.table_stream import TableStream
 
 
@@ -58,6 +59,7 @@ class LaneGeometryParameters:
 class LaneGeometryNode(GeoOrbitNode[LaneGeometryParameters]):
     """Subscribes `tracks`, `datum`, `lane_parameters`; publishes the lane map on `lanes…`, latched.
 
+    Boundaries follow painted lines once `road_plane` and `road_image/compressed` have come.
     The map is renewed every `update_period_s` by the stamps of the tracks, and when the service
     `~/update` is called.
     """
@@ -79,6 +81,7 @@ class LaneGeometryNode(GeoOrbitNode[LaneGeometryParameters]):
             p.estimator, self.theta, p.update_period_s, file, self.diagnostics.warn
         )
         self._prior = PriorListener(self) if p.map_prior else None
+        self.paint = PaintListener(self)
         self._lanes = LanePublisher(self, p.frame_id, p.estimator, tentative=p.publish_tentative)
         TableStream(self, "tracks", TRACK_DTYPE, p, self._on_frame, self._mapper.restart)
         self.create_subscription(NavSatFix, "datum", self._on_datum, LATCHED)
@@ -104,6 +107,7 @@ class LaneGeometryNode(GeoOrbitNode[LaneGeometryParameters]):
             "predictions": self._inbox.taken,
             "parameter_version": self._inbox.version,
             **{f"theta_{name}": value for name, value in asdict(self.theta).items()},
+            "paint": self.paint.sentence,
             "datum": "known" if self.datum else "not received yet",
         }
 
@@ -133,10 +137,10 @@ class LaneGeometryNode(GeoOrbitNode[LaneGeometryParameters]):
             if self._latest is not None:
                 self._publish(self._latest)
 
-    def _publish(self, lane_map: LaneMap) -> None:
+    def _publish(self, lane_map: LaneMap, *, anew: bool = False) -> None:
         self._latest = lane_map
         refined = lane_map if self._prior is None else self._prior.refine(lane_map)
-        self._lanes.publish(refined, self.datum)
+        self._lanes.publish(self.paint.follow(refined, anew=anew), self.datum)
         self.diagnostics.published += 1
         self.lane_maps += 1
 
@@ -150,7 +154,7 @@ class LaneGeometryNode(GeoOrbitNode[LaneGeometryParameters]):
                 self.diagnostics.refuse(error)
                 response.success, response.message = False, str(error)
                 return response
-            self._publish(lane_map)
+            self._publish(lane_map, anew=True)
             response.message = f"{len(lane_map.lanes)} lanes from {self.frames} frames"
         return response
 

@@ -1,5 +1,6 @@
 """Serialised messages are what rclpy reads, for every frame name and number of poses."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from geometry_msgs.msg import PoseArray
 from hypothesis import given
 from hypothesis import strategies as st
+from made_markings import road_plane
 from nav_msgs.msg import Path
 from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
@@ -24,6 +26,8 @@ from geoorbit_ros.conversions import (
     encode_string,
     message_class,
     path_headings,
+    plane_message,
+    plane_of,
 )
 from geoorbit_ros.core.errors import MessageError
 
@@ -119,3 +123,28 @@ def test_message_classes_are_found_by_name() -> None:
     assert message_class("sensor_msgs/msg/PointCloud2") is PointCloud2
     assert message_class("not_there_msgs/msg/Thing") is None
     assert message_class("sensor_msgs/msg/NoSuchThing") is None
+
+
+def test_a_road_plane_goes_there_and_back() -> None:
+    plane = road_plane()
+    message = plane_message(plane, (1280, 720))
+    back, size = plane_of(message, "/north/road_plane")
+    assert np.array_equal(back.matrix, plane.matrix)
+    assert np.array_equal(back.spread, plane.spread)
+    assert size == (1280, 720)
+
+
+@pytest.mark.parametrize(
+    ("change", "found"),
+    [
+        (lambda data: data[:-1], "82 numbers"),
+        (lambda data: data[:0], "0 numbers"),
+        (lambda data: [*data[:5], float("nan"), *data[6:]], "some not finite"),
+        (lambda data: [0.0, *data[1:]], "an image of 0x720"),
+    ],
+)
+def test_what_is_no_road_plane(change: Callable[[list[float]], list[float]], found: str) -> None:
+    message = plane_message(road_plane(), (1280, 720))
+    message.data = change(list(message.data))
+    with pytest.raises(MessageError, match=found):
+        plane_of(message, "/north/road_plane")

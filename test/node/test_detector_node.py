@@ -11,6 +11,7 @@ from made_models import red_finder
 from numpy.typing import NDArray
 from probe import LIMIT_S, LOSSLESS, Probe
 from rclpy.publisher import Publisher
+from rclpy.time import Time
 from sensor_msgs.msg import CompressedImage, Image
 
 from geoorbit_ros.conversions import encode_compressed_image
@@ -182,3 +183,33 @@ def test_what_cannot_work_is_said_at_the_start(
 ) -> None:
     with pytest.raises(GeoOrbitError, match=words):
         nodes.make(DetectorNode, "north", {"model": str(model)} | overrides)
+
+
+def test_the_road_without_vehicles_comes_after_half_a_minute_and_then_every_period(
+    nodes: Composition, model: Path
+) -> None:
+    node, probe, images = start(nodes, model, road_image_period_s=60.0)
+    roads = probe.listen("road_image/compressed", CompressedImage)
+    for k in range(0, 1001, 10):  # an image a second, a car that drives on in each
+        images.publish(message(k, made_image(k % 120)))
+        done = k // 10 + 1
+        probe.until(lambda done=done: len(probe.heard["detections"]) == done, "a table")  # type: ignore[misc]
+    expected = 2  # after 30 s and after 90 s
+    probe.until(lambda: len(roads) >= expected, "images of the road")
+    assert [round(Time.from_msg(r.header.stamp).nanoseconds / 1e9) for r in roads] == [30, 91]
+    for road in roads:
+        assert road.header.frame_id == "pole_optical_frame"
+        shown = cv2.imdecode(np.frombuffer(road.data, np.uint8), cv2.IMREAD_COLOR)
+        assert shown is not None
+        assert np.array_equal(shown, np.full((96, 160, 3), 90, np.uint8))
+    assert node.diagnostic_values()["road_images"] == expected
+
+
+def test_no_image_of_the_road_where_none_is_asked_for(nodes: Composition, model: Path) -> None:
+    node, probe, images = start(nodes, model, road_image_period_s=0.0)
+    for k in range(0, 401, 20):
+        images.publish(message(k, made_image(k % 120)))
+        done = k // 20 + 1
+        probe.until(lambda done=done: len(probe.heard["detections"]) == done, "a table")  # type: ignore[misc]
+    assert node.diagnostic_values()["road_images"] == 0
+    assert probe.node.count_publishers("/north/road_image/compressed") == 0

@@ -7,15 +7,20 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from made_bags import TRACKS, MadeMcap, tables
+from made_markings import image_with_lines
 from made_up_camera import MadeUpCamera
 from probe import LIMIT_S
 from rclpy.node import Node
 
+from geoorbit_ros.cli.inputs import read_plane
 from geoorbit_ros.cli.main import main
+from geoorbit_ros.core.polylines import offset_line
 from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE, Frames
+from geoorbit_ros.lanes.geojson import read_lanes
 from geoorbit_ros.nodes.support.composition import Composition
 from geoorbit_ros.storage.database.writer import TrajectoryReader
 from geoorbit_ros.storage.track_bag import write_track_bag
@@ -41,6 +46,28 @@ def test_replay_at_any_rate_gives_the_bytes_of_lanes(
     more = ("--estimator", estimator, "--update-period-s", "2")
     expected = lanes(camera, tmp_path / "lanes.geojson", *more)
     for rate in ("0", "10", "37"):
+        got = replay(camera, tmp_path / f"rate_{rate}.geojson", "--rate", rate, *more)
+        assert got == expected, f"rate {rate}"
+
+
+def test_with_an_image_of_the_road_the_bytes_are_those_of_lanes_too(
+    camera: MadeUpCamera, tmp_path: Path
+) -> None:
+    plain = lanes(camera, tmp_path / "plain.geojson")
+    plane = read_plane(camera.calibration)
+    found = read_lanes(tmp_path / "plain.geojson", plane.datum).lanes
+    road = tmp_path / "road.png"
+    # The lines are 0.3 m left of where the traffic has the boundaries.
+    moved = [
+        replace(lane, left_m=offset_line(lane.left_m, 0.3), right_m=offset_line(lane.right_m, 0.3))
+        for lane in found
+    ]
+    cv2.imwrite(str(road), image_with_lines(plane, moved, camera.image_size))
+    more = ("--image", str(road), "--update-period-s", "2")
+    expected = lanes(camera, tmp_path / "lanes.geojson", *more)
+    assert expected != plain
+    assert expected.count(b'"boundary_source":"paint"') == 2 * len(found)
+    for rate in ("0", "20"):
         got = replay(camera, tmp_path / f"rate_{rate}.geojson", "--rate", rate, *more)
         assert got == expected, f"rate {rate}"
 

@@ -6,17 +6,22 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
 from rclpy.node import Node
+from sensor_msgs.msg import CompressedImage
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from geoorbit_ros.conversions import encode_png
 from geoorbit_ros.core.errors import NoTrafficError
 from geoorbit_ros.nodes.bag_player import BagPlayerNode
 from geoorbit_ros.nodes.homography import HomographyNode
 from geoorbit_ros.nodes.lane_geometry import LaneGeometryNode
 from geoorbit_ros.nodes.recorder import RecorderNode
 from geoorbit_ros.nodes.support.composition import Composition
-from geoorbit_ros.nodes.support.qos import LATCHED_ALL
+from geoorbit_ros.nodes.support.qos import LATCHED, LATCHED_ALL
+from geoorbit_ros.nodes.support.road_paint import TOPIC
 
 START_TIMEOUT_S = 20.0
 """For nodes to find each other. Chosen: larger, a graph that can't work is reported later; smaller,
@@ -43,6 +48,7 @@ class ReplayRequest:
         estimator: Name of the lane estimator.
         update_period_s: Data time between two updates of the map.
         database: Also record into this trajectory database.
+        road_image: (H, W, 3) BGR of the road, for its painted lines; None: there is none.
         domain_id: ROS domain to be seen on; None takes a free one on this machine alone.
         quiet: Whether the nodes log warnings only.
     """
@@ -56,6 +62,7 @@ class ReplayRequest:
     estimator: str
     update_period_s: float
     database: Path | None = None
+    road_image: NDArray[np.uint8] | None = None
     domain_id: int | None = None
     quiet: bool = True
 
@@ -131,6 +138,11 @@ class _Nodes:
         self.player = make(BagPlayerNode, camera_id, held)
         asker = composition.add(Node("replay", context=composition.context, namespace=camera_id))
         self.update = asker.create_client(Trigger, "lane_geometry/update")
+        self._road = asker.create_publisher(CompressedImage, TOPIC, LATCHED)
+        self._images = 0
+        if request.road_image is not None:
+            self._road.publish(encode_png(0, request.camera_id, request.road_image))
+            self._images = 1
         self.maps: list[String] = []
         asker.create_subscription(String, "lanes/geojson", self.maps.append, LATCHED_ALL)
 
@@ -140,6 +152,7 @@ class _Nodes:
             self.homography.tracks.get_subscription_count() == len(self.readers)
             and self.player.topics[self._topic].get_subscription_count() == 1
             and self.lanes.datum is not None
+            and self.lanes.paint.images == self._images
             and bool(self.update.service_is_ready())
         )
 

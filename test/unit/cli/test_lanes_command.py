@@ -12,11 +12,11 @@ import cv2
 import numpy as np
 import pytest
 from camera_files import CameraFiles, write_tracks
+from made_markings import image_with_lines
 
 from geoorbit_ros.cli.console import console
 from geoorbit_ros.cli.inputs import read_plane
 from geoorbit_ros.cli.main import main
-from geoorbit_ros.core.polylines import offset_line
 from geoorbit_ros.lanes.geojson import read_lanes
 
 Run = Callable[..., tuple[int, str, str]]
@@ -62,23 +62,11 @@ def test_lanes_are_found_and_score_against_the_truth(
 
 
 def painted_road(camera: CameraFiles, folder: Path) -> tuple[Path, np.ndarray]:
-    """An image with a white line on every true boundary, and the road plane."""
+    """An image with a white line on every true boundary, and its file."""
     plane = read_plane(camera.calibration)
-    truth = read_lanes(camera.truth, plane.datum)
-    image = np.full((1080, 1920, 3), 90, np.uint8)
-    noise = np.random.default_rng(1).integers(-6, 7, image.shape)
-    image = (image + noise).astype(np.uint8)
-    for lane in truth.lanes:
-        for line in (lane.left_m, lane.right_m):
-            for sides in (np.stack([offset_line(line, d) for d in (0.08, -0.08)]),):
-                ring = np.concatenate([sides[0], sides[1][::-1]])
-                pixel = plane.to_pixel(ring)
-                pixel = pixel[np.isfinite(pixel).all(axis=1)]
-                corners = np.rint((pixel - 0.5) * 16).astype(np.int32)
-                cv2.fillPoly(image, [corners], (235, 235, 235), cv2.LINE_AA, 4)
-    path = folder / "road.png"
-    cv2.imwrite(str(path), image)
-    return path, image
+    image = image_with_lines(plane, read_lanes(camera.truth, plane.datum).lanes)
+    cv2.imwrite(str(folder / "road.png"), image)
+    return folder / "road.png", image
 
 
 def edges_of(path: Path) -> list[str]:
