@@ -8,7 +8,8 @@ A kind counts as right where the boundary that was found solid or dashed is so p
                                   [--json FILE]
 
 With FOLDER, real cameras instead: FOLDER/NAME/ has `image.png`, `calibration.csv` and `tracks.csv`;
-a contact sheet shows what was found over each image.
+a contact sheet shows what was found over each image. Where there is a `lines.csv`
+(`line,pixel_x,pixel_y`: two and more points of each surveyed line), widths are compared with it.
 
     python benchmarks/markings.py FOLDER --sheet sheet.png
 """
@@ -198,30 +199,67 @@ def show(outcomes: Sequence[Outcome]) -> None:
         print(f"  0.02 m worse than the traffic alone and more: {', '.join(worse) or 'none'}")
 
 
+def surveyed(path: Path, plane: Homography) -> list[Array]:
+    """Lines on the ground, from their points in the image."""
+    if not path.exists():
+        return []
+    rows = np.genfromtxt(path, delimiter=",", names=True)
+    pixel = np.column_stack([rows["pixel_x"], rows["pixel_y"]])
+    return [plane.to_ground(pixel[rows["line"] == k]) for k in np.unique(rows["line"])]
+
+
+def true_width(lane: Lane, lines: Sequence[Array]) -> float:
+    """Distance of the two surveyed lines that are nearest to a lane's boundaries, at its middle."""
+    x, y, heading = lane.middle
+    along = np.array([np.cos(heading), np.sin(heading)])
+    across = np.array([-along[1], along[0]])
+
+    def offset(line: Array) -> float:
+        forward, side = (line - (x, y)) @ along, (line - (x, y)) @ across
+        order = np.argsort(forward)
+        return float(np.interp(0.0, forward[order], side[order]))
+
+    offsets = np.array([offset(line) for line in lines])
+    sides = [offset(lane.left_m), offset(lane.right_m)]
+    left, right = (offsets[np.argmin(np.abs(offsets - side))] for side in sides)
+    return float(left - right)
+
+
 def sheet_of(folder: Path, target: Path) -> None:
     """Find the lines of real cameras, and show them over their images."""
-    tiles = []
+    tiles, errors = [], []
+    print(
+        "| camera | lane | width by the traffic, m | with the image, m | surveyed, m | boundaries |"
+    )
+    print("|---|--:|--:|--:|--:|---|")
     for case in sorted(path.parent for path in folder.glob("*/image.*")):
         image = np.asarray(cv2.imread(str(next(case.glob("image.*")))), dtype=np.uint8)
         size = f"{image.shape[1]}x{image.shape[0]}"
         camera = load_camera(
             case / "tracks.csv", None, case / "calibration.csv", case.name, size, None, target
         )
-        lanes = camera.find_lanes(
-            project_frames(camera.frames, camera.projector), make_mapper("curvilinear", 5.0)
+        tracks = project_frames(camera.frames, camera.projector)
+        before = camera.find_lanes(tracks, make_mapper("curvilinear", 5.0))
+        found = follow_paint(
+            before, image, camera.homography, camera.image_size, InputReport(case.name)
         )
-        report = InputReport(case.name)
-        found = follow_paint(lanes, image, camera.homography, camera.image_size, report)
-        for lane in found.lanes:
-            widths = f"{lane.width_m:.2f} m (traffic: "
-            widths += f"{next(x for x in lanes.lanes if x.lane_id == lane.lane_id).width_m:.2f} m)"
-            print(f"{case.name}, lane {lane.lane_id}: {widths}", *report.sentences(), flush=True)
+        lines = surveyed(case / "lines.csv", camera.homography)
+        for old, lane in zip(before.lanes, found.lanes, strict=True):
+            width = true_width(lane, lines) if lines else float("nan")
+            errors.append((abs(old.width_m - width), abs(lane.width_m - width)))
+            edges = [e.marking if e else "" for e in (lane.left_edge, lane.right_edge)]
+            marks = ", ".join(mark or "traffic" for mark in edges)
+            cells = (case.name, str(lane.lane_id), f"{old.width_m:.2f}", f"{lane.width_m:.2f}")
+            print("| " + " | ".join((*cells, f"{width:.2f}", marks)) + " |", flush=True)
         tiles.append(drawn(image, found, camera.homography, case.name))
-    blank = np.zeros((TILE[1], TILE[0], 3), np.uint8)
-    tiles += [blank] * (-len(tiles) % 3)
-    cv2.imwrite(
-        str(target), np.vstack([np.hstack(tiles[k : k + 3]) for k in range(0, len(tiles), 3)])
-    )
+    known = np.array([pair for pair in errors if np.isfinite(pair).all()])
+    if len(known):
+        (before, after), worst = known.mean(axis=0), known.max(axis=0)
+        print(f"mean error of {len(known)} widths by the traffic: {before:.3f} m, {worst[0]:.2f} m "
+              f"at worst; with the image: {after:.3f} m, {worst[1]:.2f} m at worst")  # fmt: skip
+    tiles += [np.zeros((TILE[1], TILE[0], 3), np.uint8)] * (-len(tiles) % 3)
+    rows = [np.hstack(tiles[k : k + 3]) for k in range(0, len(tiles), 3)]
+    cv2.imwrite(str(target), np.vstack(rows))
 
 
 def drawn(
