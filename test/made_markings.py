@@ -18,11 +18,11 @@ from geoorbit_ros.core.lanes import Lane, LaneMap
 from geoorbit_ros.core.polylines import offset_line
 from geoorbit_ros.scenes.camera import look_at
 
-IMAGE_SIZE = (1280, 720)
+IMAGE_SIZE = (960, 540)
 ROAD_M = (25.0, 95.0)
 """Where the lanes of `lane_map` begin and end, metres north of the camera."""
 WHITE, YELLOW, ASPHALT = (225.0, 230.0, 230.0), (70.0, 190.0, 215.0), (92.0, 90.0, 88.0)
-SAMPLES = 3
+SAMPLES = 2
 CURVE_PER_M = 4e-4
 
 
@@ -62,30 +62,39 @@ def road_plane() -> Homography:
     return fit_homography(points)
 
 
-def road_image(
-    stripes: Sequence[Stripe], noise: float = 3.0, colour: tuple[float, float, float] = ASPHALT
-) -> NDArray[np.uint8]:
-    """(720, 1280, 3) BGR; grass beside the pavement, which reaches from -4 m to 14 m."""
+@cache
+def _ground() -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+    """Metres east of the road's bend, and north, of every sample of every pixel."""
     width, height = IMAGE_SIZE
-    random = np.random.default_rng(5)
-    total = np.zeros((height, width, 3))
     steps = (np.arange(SAMPLES) + 0.5) / SAMPLES
+    grids = []
     for down in steps:
         for across in steps:
             u, v = np.meshgrid(np.arange(width) + across, np.arange(height) + down)
-            ground = road_plane().to_ground(np.column_stack([u.ravel(), v.ravel()]))
-            x, y = ground.T.reshape(2, height, width)
-            x = x - bend(y)
-            shown = np.where(np.isfinite(x)[..., None], (60.0, 110.0, 80.0), (200.0, 180.0, 160.0))
-            with np.errstate(invalid="ignore"):
-                shown = np.where(((x > -4.0) & (x < 14.0))[..., None], colour, shown)
-                for one in stripes:
-                    on = np.abs(x - one.x_m) < 0.5 * one.width_m
-                    on &= (y >= one.y_m[0]) & (y < one.y_m[1])
-                    if one.period_m:
-                        on &= y % one.period_m < one.dash_m
-                    shown = np.where(on[..., None], one.colour, shown)
-            total += shown
+            x, y = road_plane().to_ground(np.column_stack([u.ravel(), v.ravel()])).T
+            x = np.asarray(x - bend(y), np.float32).reshape(height, width)
+            grids.append((x, np.asarray(y, np.float32).reshape(height, width)))
+    return grids
+
+
+def road_image(
+    stripes: Sequence[Stripe], noise: float = 3.0, colour: tuple[float, float, float] = ASPHALT
+) -> NDArray[np.uint8]:
+    """(540, 960, 3) BGR; grass beside the pavement, which reaches from -4 m to 14 m."""
+    random = np.random.default_rng(5)
+    total = np.zeros((*IMAGE_SIZE[::-1], 3), np.float32)
+    for x, y in _ground():
+        shown = np.full(total.shape, (200.0, 180.0, 160.0), np.float32)
+        shown[np.isfinite(x)] = (60.0, 110.0, 80.0)
+        with np.errstate(invalid="ignore"):
+            shown[(x > -4.0) & (x < 14.0)] = colour
+            for one in stripes:
+                on = np.abs(x - one.x_m) < 0.5 * one.width_m
+                on &= (y >= one.y_m[0]) & (y < one.y_m[1])
+                if one.period_m:
+                    on &= y % one.period_m < one.dash_m
+                shown[on] = one.colour
+        total += shown
     image = total / SAMPLES**2 + random.normal(0.0, noise, total.shape)
     return np.asarray(np.clip(np.rint(image), 0, 255), dtype=np.uint8)
 

@@ -19,6 +19,7 @@ from geoorbit_ros.core.input_report import InputReport, Treatment
 from geoorbit_ros.core.lanes import Lane, LaneEdge, LaneMap
 from geoorbit_ros.core.polylines import project
 from geoorbit_ros.markings.assignment import (
+    CLEAR_CONTRAST,
     DRIVER_SIGMA_M,
     LANE_WIDTH_M,
     LANE_WIDTH_SIGMA_M,
@@ -110,8 +111,11 @@ class RoadPaint:
         painted = sum(edge is not None and edge.source == "paint" for edge in edges)
         self.sentence = f"{painted} of {len(edges)} lane boundaries follow a painted line"
         if not painted:
-            self.sentence = "no painted line is seen along the lanes: "
-            self.sentence += "boundaries are where the traffic has them"
+            self.sentence = "no painted line is seen along the lanes"
+            if any(line.contrast >= CLEAR_CONTRAST for road in self._roads for line in road.lines):
+                self.sentence = "lines are seen, but none where a lane may end (has the camera "
+                self.sentence += "moved since it was calibrated?)"
+            self.sentence += ": boundaries are where the traffic has them"
         return found
 
 

@@ -102,7 +102,7 @@ def test_boundaries_follow_the_lines_of_an_image(
         (lambda image: np.zeros_like(image), "of one brightness (0 to 0 of 255)"),
         (lambda image: np.full_like(image, 255), "of one brightness (255 to 255 of 255)"),
         (lambda image: cv2.GaussianBlur(image, (0, 0), 40), "boundaries are where the traffic"),
-        (lambda image: np.ascontiguousarray(image[::-1]), "no painted line is seen"),
+        (lambda image: np.ascontiguousarray(image[::-1]), "boundaries are where the traffic"),
     ],
 )
 def test_an_image_that_shows_no_lines_leaves_the_lanes_of_the_traffic(

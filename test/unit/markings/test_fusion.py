@@ -7,10 +7,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made_markings import ROAD_M, YELLOW, Stripe, lane_map, offset_m, road_image, road_plane
+from made_markings import (
+    IMAGE_SIZE,
+    ROAD_M,
+    YELLOW,
+    Stripe,
+    lane_map,
+    offset_m,
+    road_image,
+    road_plane,
+)
 
 from geoorbit_ros.core.lanes import LaneMap
-from geoorbit_ros.markings.fusion import find_roads, with_painted_edges
+from geoorbit_ros.markings.fusion import RoadPaint, find_roads, with_painted_edges
 
 MOTORWAY = (
     Stripe(0.0, 0.25),
@@ -35,8 +44,8 @@ def test_boundaries_lie_on_the_lines(motorway: LaneMap) -> None:
     for k, lane in enumerate(motorway.lanes):
         low, high = 3.75 * k, 3.75 * (k + 1)
         for line, true_m in ((lane.left_m, low), (lane.right_m, high)):
-            assert np.abs(offset_m(line) - true_m).max() < 0.08
-            assert abs(float(offset_m(line).mean()) - true_m) < 0.02
+            assert np.abs(offset_m(line) - true_m).max() < 0.1
+            assert abs(float(offset_m(line).mean()) - true_m) < 0.03
         middle = 0.5 * (low + high)
         assert np.abs(offset_m(lane.centerline_m) - middle).max() < 0.08
         assert lane.width_m == pytest.approx(3.75, abs=0.03)
@@ -127,3 +136,27 @@ def test_a_line_that_ends_goes_on_beside_the_lane() -> None:
     share = (65.0 - ROAD_M[0]) / (ROAD_M[1] - ROAD_M[0])
     assert lane.left_edge.painted_share == pytest.approx(share, abs=0.05)
     assert np.abs(offset_m(lane.left_m)).max() < 0.1
+
+
+def test_lines_far_beside_the_traffic_are_of_another_view() -> None:
+    """The pole was bumped: all lines lie 1.4 m beside where vehicles drive."""
+    before = lane_map([x + 1.4 for x in (1.875, 5.625, 9.375)], width_m=3.7)
+    paint = RoadPaint(road_image(MOTORWAY), road_plane(), IMAGE_SIZE)
+    after = paint.follow(before)
+    for lane, old in zip(after.lanes, before.lanes, strict=True):
+        assert np.array_equal(lane.left_m, old.left_m)
+    assert "has the camera moved" in paint.sentence
+
+
+def test_a_later_map_takes_the_lines_of_an_earlier_one() -> None:
+    paint = RoadPaint(road_image(MOTORWAY), road_plane(), IMAGE_SIZE)
+    paint.follow(lane_map(DRIVEN_M))
+    later = lane_map([x + 0.1 for x in DRIVEN_M])
+    quick, thorough = paint.follow(later, anew=False), paint.follow(later)
+    for a, b in zip(quick.lanes, thorough.lanes, strict=True):
+        assert np.abs(a.left_m[:, 0] - b.left_m[:, 0]).max() < 0.06
+        assert a.driven_offset_m == pytest.approx(b.driven_offset_m, abs=0.02)
+    # Another lane: the image is looked at again.
+    fewer = replace(later, lanes=later.lanes[:2])
+    found = paint.follow(fewer, anew=False)
+    assert [lane.right_edge and lane.right_edge.source for lane in found.lanes] == ["paint"] * 2
