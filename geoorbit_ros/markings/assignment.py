@@ -45,7 +45,7 @@ BUFFER_M = 1.3
 BUFFER_COST = 2.0
 """What speaks against two lines between two lanes. Chosen: one is the rule."""
 BUFFER_WORTH, BUFFER_SHARE = 0.6, 0.7
-"""Both lines are this clear, as a share of `LINE_WORTH`, and accompany this share of the lane.
+"""Both are this clear, as a share of the road's clearest line, and accompany this share of a lane.
 Chosen: beside a lane line there often is a seam or a tyre track."""
 ALONE_COST = 3.0
 """What speaks against a line that bounds one of two neighbours and not the other. Chosen: true only
@@ -144,7 +144,7 @@ class _Choosing:
             return self._worth[left]  # it speaks once
         apart = _median(self._lines[right].offset_m - self._lines[left].offset_m)
         beside = 0.0 < apart < BUFFER_M
-        clear = min(self._worth[left], self._worth[right]) >= BUFFER_WORTH * LINE_WORTH
+        clear = min(self._worth[left], self._worth[right]) >= BUFFER_WORTH * max(self._worth)
         lasting = min(self._share[k, left], self._share[k, right]) >= BUFFER_SHARE
         return BUFFER_COST if beside and clear and lasting else np.inf
 

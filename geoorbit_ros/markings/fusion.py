@@ -20,9 +20,6 @@ from geoorbit_ros.core.lanes import Lane, LaneEdge, LaneMap
 from geoorbit_ros.core.polylines import project
 from geoorbit_ros.markings.assignment import (
     CLEAR_CONTRAST,
-    DRIVER_SIGMA_M,
-    LANE_WIDTH_M,
-    LANE_WIDTH_SIGMA_M,
     NEIGHBOUR_M,
     choose_lines,
 )
@@ -247,18 +244,12 @@ def _bounded(road: Road, k: int, right: int | None, left: int | None) -> Lane:
     if right is None and left is None:
         edge = LaneEdge("traffic", lane.width_sigma_m)
         return replace(lane, left_edge=edge, right_edge=edge)
-    offsets = [None if i is None else _along(road.lines[i], centre) for i in (right, left)]
+    # A boundary without a line stays where the traffic has it.
+    low, high = (
+        centre + sign * 0.5 * lane.width_m if i is None else _along(road.lines[i], centre)
+        for i, sign in ((right, -1.0), (left, 1.0))
+    )
     edges = [_edge(road, i, known, lane) for i in (right, left)]
-    if offsets[0] is None or offsets[1] is None:
-        width = _width_beside_one_line(lane, offsets[0], offsets[1], centre)
-        if offsets[0] is None:
-            assert offsets[1] is not None
-            offsets[0] = offsets[1] - width
-        else:
-            offsets[1] = offsets[0] + width
-    low, high = offsets
-    assert low is not None
-    assert high is not None
     middle = 0.5 * (low + high)
     lines = [_points(lane, strip, offset) for offset in (low, middle, high)]
     if not same_way:
@@ -317,18 +308,6 @@ def _sigma_m(road: Road, line: PaintedLine, here: NDArray[np.bool_]) -> float:
     normal = strip.normal[at]
     plane = np.einsum("ni,nij,nj->n", normal, covariance, normal)
     return float(np.sqrt(np.mean(plane + np.square(line.sigma_m[at]))))
-
-
-def _width_beside_one_line(
-    lane: Lane, low: Array | None, high: Array | None, centre: Array
-) -> float:
-    """Width of a lane of which one boundary is painted: what the traffic and the line say."""
-    line = low if low is not None else high
-    assert line is not None
-    half = float(np.nanmedian(np.abs(line - centre)))
-    says = np.array([lane.width_m, 2.0 * half, LANE_WIDTH_M])
-    sigma = np.array([LANE_WIDTH_SIGMA_M, 2.0 * DRIVER_SIGMA_M, LANE_WIDTH_SIGMA_M])
-    return float(np.average(says, weights=sigma**-2))
 
 
 def _points(lane: Lane, strip: RoadStrip, offset_m: Array) -> Array:

@@ -58,6 +58,7 @@ RECORD = (
 GIVEN = {
     "docs/cameras.md": [FILM],
     "docs/detection.md": [FILM],
+    "docs/markings.md": [SCENE, "scene render on_ramp_merge --duration 2 --seed 1 --out out/film"],
     "docs/tracking.md": [FILM, "detect out/film/video.mp4 --out det.txt"],
     "docs/ros.md": [SCENE + " --camera-id north", RECORD],
     "docs/twin.md": [SCENE, LANES],

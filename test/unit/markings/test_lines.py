@@ -43,7 +43,7 @@ def test_every_line_is_found_where_it_is(motorway: list[PaintedLine]) -> None:
     for line, true_m in zip(motorway, (10.6, 7.1, 3.6, 0.0), strict=True):
         error = 3.5 - line.offset_m - true_m
         assert np.nanmax(np.abs(error)) < 0.1
-        assert abs(float(np.nanmean(error))) < 0.03
+        assert abs(float(np.nanmean(error))) < 0.04
 
 
 def test_what_a_line_is_like(motorway: list[PaintedLine]) -> None:
