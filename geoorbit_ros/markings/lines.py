@@ -45,8 +45,8 @@ HOP_M = 4.0
 """Distance of two windows. Chosen."""
 MAX_SLOPE = 0.02
 """Angle between a line and the reference line. Chosen: vehicles drift by less over `WINDOW_M`."""
-SLOPE_STEP = 0.0025
-"""Chosen: over half a window that is an offset of a fifth of a line's width at its ends."""
+SLOPE_STEP = 0.005
+"""Chosen: half a step is a fifth of a line's width at the ends of a window."""
 MIN_SCORE = 0.7
 """Least mean contrast of a window. Measured on real motorway cameras: texture of roads stays below
 0.5, dashes of a third of the length begin at 1."""
@@ -94,6 +94,9 @@ PROFILE_M = 0.5
 """Half width of the profile across a line. Chosen: twice that of the widest line."""
 MAX_WIDTH_M = 0.55
 """Wider stripes are patches and kerbs: lines are at most 0.5 m wide (RMS-1; MUTCD 3A.04)."""
+TRIED_M = 0.12
+"""A path that was followed in vain is not followed again from seeds this near. Chosen: less than a
+line's width."""
 PARTING_M = 0.45
 """Lines nearer to each other are one line, the stronger one, or a double one. Chosen: the two of a
 double line are 0.1 to 0.3 m apart."""
@@ -133,14 +136,22 @@ class PaintedLine:
 
 def find_lines(strip: RoadStrip) -> list[PaintedLine]:
     """All painted lines along a strip, from right to left."""
-    contrast = _contrast(strip)
+    # Zeros on both sides: a path may leave the strip.
+    padded = np.pad(_contrast(strip), ((0, 0), (_MARGIN, _MARGIN)))
+    contrast = padded[:, _MARGIN:-_MARGIN]
     lines: list[PaintedLine] = []
+    in_vain: list[Array] = []
     for seed in _seeds(contrast, strip):
         known = [line.offset_m[seed.station] for line in lines]
         if any(abs(offset - seed.offset_m) < PARTING_M for offset in known):
             continue
-        line = _trace(seed, contrast, strip)
-        if line is not None and not any(_same(line, other) for other in lines):
+        if any(abs(path[seed.station] - seed.offset_m) < TRIED_M for path in in_vain):
+            continue
+        path = _path(seed, padded, strip)
+        line = _trace(path, contrast, strip)
+        if line is None:
+            in_vain.append(path)
+        elif not any(_same(line, other) for other in lines):
             lines.append(line)
             # Paint belongs to one line, the clearer one.
             beside = np.abs(strip.offset_m - line.offset_m[:, None]) < 0.5 * PARTING_M
@@ -238,48 +249,54 @@ def _seeds(contrast: Array, strip: RoadStrip) -> list[_Seed]:
     return sorted(found, key=lambda seed: -seed.score)
 
 
-def _path(seed: _Seed, contrast: Array, strip: RoadStrip) -> Array:
+_LEVELS = np.arange(-round(BAND_M / STEP_M), round(BAND_M / STEP_M) + 1)
+_BENDS = np.arange(-round(BEND_M / STEP_M), round(BEND_M / STEP_M) + 1)
+_PRICE = BEND_COST * np.square(_BENDS * STEP_M / BEND_M)
+_SOURCE = np.arange(len(_LEVELS)) - _BENDS[:, None]
+"""(B, L) level at the piece's beginning, of each level at its end and each bend."""
+_REACHABLE = (_SOURCE >= 0) & (len(_LEVELS) > _SOURCE)
+_MARGIN = round((BAND_M + BEND_M) / ACROSS_M) + 1
+"""Columns beside the strip that a path from inside may reach."""
+
+
+def _path(seed: _Seed, padded: Array, strip: RoadStrip) -> Array:
     """(S,) offset of the line through a seed: the most contrast for the least bends.
 
     Dynamic programming over the offsets at knots, from the seed to both ends of the strip.
+
+    Args:
+        seed: Where it passes through.
+        padded: Contrast, with `_MARGIN` columns of zeros on either side.
+        strip: The strip.
     """
-    stations = len(contrast)
-    levels = np.arange(-round(BAND_M / STEP_M), round(BAND_M / STEP_M) + 1)
-    bends = np.arange(-round(BEND_M / STEP_M), round(BEND_M / STEP_M) + 1)
-    cost = BEND_COST * np.square(bends * STEP_M / BEND_M)
+    stations, width = padded.shape
     step = round(KNOT_M / ALONG_M)
-    first = (seed.offset_m - strip.offset_m[0]) / ACROSS_M
+    first = (seed.offset_m - strip.offset_m[0]) / ACROSS_M + _MARGIN
     path = np.full(stations, seed.offset_m)
     for way in (1, -1):
-        total = np.where(levels == 0, 0.0, -np.inf)
+        total = np.where(_LEVELS == 0, 0.0, -np.inf)
         came: list[NDArray[np.int64]] = []
-        knots = [seed.station]
+        knots, columns = [seed.station], np.empty((0, 0, 0), dtype=np.int64)
         while 0 <= knots[-1] + way < stations:
             at, end = knots[-1], int(np.clip(knots[-1] + way * step, 0, stations - 1))
             rows = np.arange(at + way, end + way, way)
-            share = (rows - at) / (end - at)
-            best, by = np.full(len(levels), -np.inf), np.zeros(len(levels), dtype=np.int64)
-            for bend, price in zip(bends, cost, strict=True):
-                # Offsets at the end of the piece are `levels`; it came from `levels - bend`.
-                offset = (levels[:, None] - bend * (1.0 - share)) * STEP_M / ACROSS_M
-                column = np.round(first + offset).astype(np.int64)
-                inside = (column >= 0) & (column < contrast.shape[1])
-                value = contrast[rows, np.clip(column, 0, contrast.shape[1] - 1)]
-                before = np.full(len(levels), -np.inf)
-                source = np.arange(len(levels)) - bend
-                valid = (source >= 0) & (source < len(levels))
-                before[valid] = total[source[valid]]
-                score = before + np.where(inside, value, 0.0).sum(axis=1) - price
-                better = score > best
-                best[better], by[better] = score[better], bend
-            total = best
-            came.append(by)
+            if columns.shape[2] != len(rows):
+                left = 1.0 - np.abs(rows - at) / abs(end - at)
+                # Offsets at the end of the piece are the levels; it came from level less bend.
+                offset = _LEVELS[:, None] - _BENDS[:, None, None] * left
+                columns = np.rint(first + offset * (STEP_M / ACROSS_M)).astype(np.int64)
+            value = padded.ravel().take(rows * width + columns).sum(axis=2)
+            before = np.where(_REACHABLE, total[np.clip(_SOURCE, 0, len(_LEVELS) - 1)], -np.inf)
+            score = before + value - _PRICE[:, None]
+            bend = score.argmax(axis=0)
+            total = score[bend, np.arange(len(_LEVELS))]
+            came.append(_BENDS[bend])
             knots.append(end)
         level = int(np.argmax(total))
-        reached = [float(levels[level])]
+        reached = [float(_LEVELS[level])]
         for by in reversed(came):
             level -= int(by[level])
-            reached.append(float(levels[level]))
+            reached.append(float(_LEVELS[level]))
         order = np.argsort(knots)
         rows = np.arange(min(knots), max(knots) + 1)
         offset = np.interp(rows, np.array(knots)[order], np.array(reached[::-1])[order])
@@ -296,9 +313,8 @@ def _extent(value: Array) -> tuple[int, int]:
     return begin, end
 
 
-def _trace(seed: _Seed, contrast: Array, strip: RoadStrip) -> PaintedLine | None:
-    """The line through a seed, station by station; None if it shows too little paint."""
-    path = _path(seed, contrast, strip)
+def _trace(path: Array, contrast: Array, strip: RoadStrip) -> PaintedLine | None:
+    """The line along a path, station by station; None if it shows too little paint."""
     reach = np.arange(-round(REACH_M / ACROSS_M), round(REACH_M / ACROSS_M) + 1)
     rows = np.arange(len(path))
     last = contrast.shape[1] - 1

@@ -108,27 +108,32 @@ def rectify(
     station, point, tangent = _stations(reference_m)
     normal = np.column_stack((-tangent[:, 1], tangent[:, 0]))
     offset = np.arange(right_m, left_m, ACROSS_M)
-    place = point[:, None] + offset[None, :, None] * normal[:, None]
-    shape = (len(station), len(offset))
-    pixel = homography.to_pixel(place.reshape(-1, 2))
-    height, width = image.shape[:2]
-    with np.errstate(invalid="ignore"):
-        inside = (pixel >= BORDER_PX) & (pixel <= np.array([width, height]) - 1.0 - BORDER_PX)
-    visible: NDArray[np.bool_] = np.logical_and.reduce(inside, axis=1)
-    jacobian = homography.jacobian(np.where(visible[:, None], pixel, 0.0))
-    seen = visible.reshape(shape)
-    # Rows of the inverse: by how many pixels the image moves for a metre across, and along.
+    # Along a station's normal the homogeneous pixel is linear in the offset: one division each.
+    to_pixel = homography.inverse
+    start = np.column_stack((point, np.ones(len(point)))) @ to_pixel.T
+    ahead, aside = tangent @ to_pixel[:, :2].T, normal @ to_pixel[:, :2].T
+    places = start[:, None] + offset[None, :, None] * aside[:, None]
+    depth = places[..., 2]
     with np.errstate(divide="ignore", invalid="ignore"):
-        per_metre = np.linalg.inv(jacobian.reshape(*shape, 2, 2))
-    across = np.linalg.norm(np.einsum("sdij,sj->sdi", per_metre, normal), axis=2)
-    along = np.linalg.norm(np.einsum("sdij,sj->sdi", per_metre, tangent), axis=2)
+        u, v = places[..., 0] / depth, places[..., 1] / depth
+        height, width = image.shape[:2]
+        low, high = BORDER_PX, np.array([width, height]) - 1.0 - BORDER_PX
+        # Behind the camera the depth has the other sign than at the control points.
+        seen = (u >= low) & (u <= high[0]) & (v >= low) & (v <= high[1])
+        seen &= u * homography.matrix[2, 0] + v * homography.matrix[2, 1] > -homography.matrix[2, 2]
+        # How far the pixel moves for a metre across, and along: the quotient rule, times the depth.
+        across, along = (
+            np.hypot(*(move[:, k, None] - p * move[:, 2, None] for k, p in enumerate((u, v))))
+            for move in (aside, ahead)
+        )
+        across_m, along_m = np.abs(depth) / across, np.abs(depth) / along
     # Coordinates count from the corner of the first pixel, as boxes do; OpenCV from its middle.
-    at = np.where(seen[..., None], pixel.reshape(*shape, 2) - 0.5, -1.0).astype(np.float32)
-    sampled = cv2.remap(image, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderValue=0)
+    at = [np.where(seen, p - 0.5, -1.0).astype(np.float32) for p in (u, v)]
+    sampled = cv2.remap(image, at[0], at[1], cv2.INTER_LINEAR, borderValue=0)
     bgr = np.where(seen[..., None], sampled, 0).astype(np.float32)
     return RoadStrip(
         station, offset, point, normal, bgr, seen,
-        np.where(seen, 1.0 / across, np.inf), np.where(seen, 1.0 / along, np.inf),
+        np.where(seen, across_m, np.inf), np.where(seen, along_m, np.inf),
     )  # fmt: skip
 
 
