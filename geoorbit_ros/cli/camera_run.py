@@ -15,7 +15,6 @@ from geoorbit_ros.calibration.box_projector import BoxProjector
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.calibration.homography import Homography
 from geoorbit_ros.cli.images import (
-    BACKGROUND_SPACING_S,
     DEFAULT_FPS,
     check_images,
     shown_images,
@@ -35,7 +34,7 @@ from geoorbit_ros.lanes.geojson import write_lanes
 from geoorbit_ros.lanes.mapping.mapper import DEFAULT_UPDATE_PERIOD_S, LaneMapper
 from geoorbit_ros.lanes.pipeline import StampedRows, note_other_classes
 from geoorbit_ros.markings.fusion import follow_paint
-from geoorbit_ros.markings.road_image import RoadBackground
+from geoorbit_ros.markings.road_image import SPACING_S, RoadBackground
 from geoorbit_ros.report.image_overlay import ImageOverlay, write_image
 from geoorbit_ros.report.recording import Recording
 from geoorbit_ros.storage.frames.source import FrameSource, StampedImage
@@ -145,7 +144,7 @@ class CameraRun:
                     fewest = len(boxes)
                 elif len(boxes) < fewest:
                     self.pictures[-1], fewest = image.copy(), len(boxes)
-                if stamp_ns - self._looked_ns >= BACKGROUND_SPACING_S * 1e9:
+                if stamp_ns - self._looked_ns >= SPACING_S * 1e9:
                     self.backgrounds[-1].add(image)
                     self._looked_ns = stamp_ns
                 ground = projector.project(seen.stamp_ns, seen.tracks)

@@ -27,8 +27,6 @@ can't be followed from one image to the next."""
 LONGEST_S = 120.0
 """Length of a warm-up; of a longer recording, the beginning is used. Chosen: larger, the command
 starts later; smaller, a queue that stands the whole time looks like the road."""
-BACKGROUND_SPACING_S = 2.0
-"""Time between the images of a background. Chosen: a vehicle drives on by its length and more."""
 DEFAULT_FPS = 25.0
 """Frame rate where a source has none of its own: of the annotated video, and to estimate how far a
 command is. It has no influence on tracks and lanes, which go by the stamps."""
@@ -116,6 +114,7 @@ def road_background(source: str) -> NDArray[np.uint8]:
     Raises:
         FrameSourceError: No image that can be used.
     """
+    from geoorbit_ros.markings.road_image import SPACING_S as BACKGROUND_SPACING_S
     from geoorbit_ros.markings.road_image import RoadBackground
 
     background = RoadBackground()

@@ -19,6 +19,8 @@ BORDER_PX = 2.0
 """Pixels at the image's border that are not used: encoders and undistortion leave edges there."""
 
 
+SPACING_S = 2.0
+"""Time between the images of a background. Chosen: a vehicle drives on by its length and more."""
 MAX_IMAGES = 15
 """Images of which the median is taken. Chosen: a place that vehicles cover in a third of the images
 is free in most of 15; more take memory (6 MB each at 1920x1080)."""

@@ -15,14 +15,12 @@ from geoorbit_ros.conversions import encode_png, plane_of
 from geoorbit_ros.core.errors import MessageError
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.markings.fusion import RoadPaint
-from geoorbit_ros.markings.road_image import RoadBackground
+from geoorbit_ros.markings.road_image import SPACING_S, RoadBackground
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.nodes.support.qos import LATCHED
 from geoorbit_ros.storage.image_cdr import decode_compressed_image
 
 TOPIC, PLANE_TOPIC = "road_image/compressed", "road_plane"
-SPACING_S = 2.0
-"""Time between the images of a background. Chosen: a vehicle drives on by its length and more."""
 FIRST_S = 30.0
 """Time of the first background: 15 images. Chosen: earlier, vehicles are left in it."""
 
