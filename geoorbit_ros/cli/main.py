@@ -43,16 +43,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 return EXIT_BAD_INPUT
             except SystemExit as end:
                 return end.code if isinstance(end.code, int) else int(end.code is not None)
-        except KeyboardInterrupt:
-            return EXIT_INTERRUPTED
-        except Exception:
-            # Some libraries turn an interruption into an error of their own.
-            if not interruption.came:
-                raise
-            return EXIT_INTERRUPTED
+            return 0
         finally:
             interruption.over()
-    return 0
+    return EXIT_INTERRUPTED
 
 
 if __name__ == "__main__":

@@ -38,6 +38,9 @@ class Interrupted(KeyboardInterrupt):
 class Interruption:
     """A context manager in which a signal raises KeyboardInterrupt, and a later one ends at once.
 
+    An interruption ends with the context, and so does an error that came after a signal: some
+    libraries turn an interruption into an error of their own.
+
     Python drops an exception that is raised in a destructor or a weak reference's callback, and
     prints it. An interruption that is dropped there comes again a moment later, and isn't printed.
     Libraries drop one without a word, where they look something up and take any exception for "not
@@ -71,13 +74,14 @@ class Interruption:
             self._hook, sys.unraisablehook = sys.unraisablehook, self._on_dropped
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, _: object, error: BaseException | None, __: object) -> bool:
         if self._handlers:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
         for number, handler in self._handlers.items():
             signal.signal(number, signal.SIG_IGN if self._ends_process else handler)
         if self._handlers and not self._ends_process:
             sys.unraisablehook = self._hook
+        return isinstance(error, KeyboardInterrupt) or (self.came and isinstance(error, Exception))
 
     def _interrupt(self, *_: object) -> None:
         now = time.monotonic()

@@ -59,3 +59,14 @@ def test_cleaning_up_is_not_interrupted_again() -> None:
         while time.monotonic() < end:
             pass
     assert cleaned
+
+
+def test_what_a_library_makes_of_an_interruption_ends_with_it_and_other_errors_do_not() -> None:
+    with Interruption(ends_process=False):
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(60.0)
+        except Interrupted:
+            raise RuntimeError("the library's own") from None
+    with pytest.raises(RuntimeError, match="a defect"), Interruption(ends_process=False):
+        raise RuntimeError("a defect")
