@@ -137,6 +137,8 @@ class PaintedLine:
 
 def find_lines(strip: RoadStrip) -> list[PaintedLine]:
     """All painted lines along a strip, from right to left."""
+    if not (strip.across_m <= MAX_PIXEL_M).any():
+        return []
     # Zeros on both sides: a path may leave the strip.
     padded = np.pad(_contrast(strip), ((0, 0), (_MARGIN, _MARGIN)))
     contrast = padded[:, _MARGIN:-_MARGIN]

@@ -78,7 +78,10 @@ def test_what_is_no_line(stripe: Stripe) -> None:
     assert lines_of(stripe) == []
 
 
-def test_nothing_is_claimed_where_the_camera_resolves_nothing() -> None:
-    far = np.column_stack([np.full(40, 60.0), np.linspace(400.0, 500.0, 40)])
-    strip = rectify(road_image([Stripe(0.0, 0.3)]), road_plane(), far, -9.0, 9.0)
+@pytest.mark.parametrize("y_m", [(400.0, 500.0), (-100.0, -20.0)])
+def test_nothing_is_claimed_where_the_camera_sees_or_resolves_nothing(
+    y_m: tuple[float, float],
+) -> None:
+    away = np.column_stack([np.full(40, 60.0), np.linspace(*y_m, 40)])
+    strip = rectify(road_image([Stripe(0.0, 0.3)]), road_plane(), away, -9.0, 9.0)
     assert find_lines(strip) == []
