@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from geoorbit_ros.tracking.motion_model import MEAN, TAIL, VARIANCE
-from geoorbit_ros.tracking.track_table import BORDER_RATIO, CUT_FACTOR, FrameDetections
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from geoorbit_ros.tracking.motion_model import (
+    MEAN,
+    TAIL,
+    VARIANCE,
+    Four,
+    State,
+    distance_within,
+    spread_ratio,
+)
+from geoorbit_ros.tracking.track import CUT_FACTOR, Detection, Sides, Track
 
 GATE = 60.0
 """Squared distance in 1-sigma errors over the four measurements beyond which no pair is considered
@@ -21,6 +28,9 @@ Chosen: larger takes more time and changes few ids, smaller loses vehicles after
 SPREAD_WEIGHT = 1.6
 """Weight of a prediction's spread; 1 would be its likelihood. Chosen: larger favours tracks with
 exact predictions more, smaller lets a track lost for long take others' detections."""
+GAP_COST = 3.0
+"""Cost of a second unobserved: the longer, the more likely the vehicle is gone and this another.
+Chosen: larger loses vehicles behind trucks, smaller gives their ids to others."""
 TENTATIVE_COST = 6.0
 """Cost of an unconfirmed track: a false box beside a vehicle must not take its detection. Chosen:
 larger confirms new vehicles later in dense traffic."""
@@ -46,35 +56,27 @@ CLASS_COST = 2.0
 Chosen: larger splits tracks whose class changes, smaller mixes vehicles side by side."""
 
 
-@dataclass(frozen=True, slots=True)
-class Pairs:
-    """Candidate pairs.
+class Pair(NamedTuple):
+    """A track and a detection that may be one vehicle.
 
     Attributes:
-        track: (P,) index of the track.
-        detection: (P,) index of the detection.
-        cost: (P,) negative log-likelihood ratio, twice and up to a constant.
+        track: Index of the track.
+        detection: Index of the detection.
+        cost: Negative log-likelihood ratio, twice and up to a constant.
     """
 
-    track: Index
-    detection: Index
-    cost: Array
-
-    def where(self, which: NDArray[np.bool_]) -> Pairs:
-        """Only some of them."""
-        return Pairs(self.track[which], self.detection[which], self.cost[which])
+    track: int
+    detection: int
+    cost: float
 
 
 def candidate_pairs(
-    predicted: Array,
-    track_cost: Array,
-    confirmed: NDArray[np.bool_],
-    track_class: NDArray[np.int64],
-    whole: NDArray[np.bool_],
-    found: FrameDetections,
-    doubt: Array,
-    image_size: tuple[int, int],
-) -> Pairs:
+    tracks: Sequence[Track],
+    predicted: Sequence[State],
+    elapsed_s: Sequence[float],
+    found: Sequence[Detection],
+    doubt: Sequence[float],
+) -> list[Pair]:
     """Pairs within the gate that may be one vehicle, with their costs.
 
     The cost is the squared distance under Student's t distribution plus the logarithm of the
@@ -83,107 +85,174 @@ def candidate_pairs(
     one vehicle at all is another question: there the spread counts less (`LIKELIHOOD_WEIGHT`).
 
     Args:
-        predicted: (5, 4, N) states at the time of the detections, see `motion_model`.
-        track_cost: (N,) cost of each track beside its distance.
-        confirmed: (N,) whether the track is.
-        track_class: (N,) its class.
-        whole: (N,) whether its vehicle has been seen as a whole.
+        tracks: The tracks.
+        predicted: Their states at the time of the detections.
+        elapsed_s: Time since each was observed.
         found: The detections.
-        doubt: (M,) cost of each detection, because it may be a false box.
-        image_size: (width, height) in pixels, 0 where it is not known.
+        doubt: Cost of each detection, because it may be a false box.
     """
-    mean, spread = predicted[MEAN], predicted[VARIANCE]
-    measured, variance = found.measured, found.variance
-    # A cheap test first: a pair outside this rectangle is outside the gate.
-    reach = np.sqrt(GATE * spread[:2]), np.sqrt(GATE * variance[:2])
-    near = np.abs(mean[0][:, None] - measured[0]) < reach[0][0][:, None] + reach[1][0]
-    near &= np.abs(mean[1][:, None] - measured[1]) < reach[0][1][:, None] + reach[1][1]
-    # The middle of a cut box can be half a vehicle away from the vehicle's.
-    size = np.exp(mean[2:])
-    beside = np.abs(mean[0][:, None] - measured[0]) < size[0][:, None]
-    beside &= np.abs(mean[1][:, None] - measured[1]) < size[1][:, None]
-    near |= beside & found.cut
-    track, detection = np.nonzero(near)
-    values, spreads = measured[:, detection], variance[:, detection]
-    completed = found.cut[detection] & whole[track]
-    if completed.any():
-        values[:, completed], spreads[:, completed] = complete_cut_boxes(
-            mean[:, track[completed]], values[:, completed], spreads[:, completed], image_size
-        )
-    total = spread[:, track] + spreads
-    error = values - mean[:, track]
-    distance = (error * error / total).sum(axis=0)
-    cost = (TAIL + 4.0) * np.log1p(distance / TAIL)
-    cost += track_cost[track] + TENTATIVE_COST * ~confirmed[track] + doubt[detection]
-    cost += CLASS_COST * (track_class[track] != found.class_id[detection])
-    spread_cost = np.log((total / spreads).prod(axis=0))
-    may_be = (distance < GATE) & (cost + LIKELIHOOD_WEIGHT * spread_cost < ONE_VEHICLE_LIMIT)
-    cost = np.minimum(cost + SPREAD_WEIGHT * spread_cost, LEAVE_COST - LEAST_DIFFERENCE)
-    return Pairs(track[may_be], detection[may_be], cost[may_be])
+    pairs = []
+    places = _Places(found)
+    for i, (track, state) in enumerate(zip(tracks, predicted, strict=True)):
+        alone = GAP_COST * elapsed_s[i] + (0.0 if track.track_id else TENTATIVE_COST)
+        gate, near = places.near(state, alone)
+        for j in near:
+            detection = found[j]
+            measured, variance = detection.measured, detection.variance
+            if detection.cut and not track.entering:
+                measured, variance = complete_cut_box(state, detection)
+            limit = GATE if detection.cut else gate
+            distance = distance_within(limit, state, measured, variance)
+            if distance is None:
+                continue
+            cost = (TAIL + 4.0) * math.log1p(distance / TAIL) + alone + doubt[j]
+            if detection.class_id != track.class_id:
+                cost += CLASS_COST
+            spread_cost = math.log(spread_ratio(state, variance))
+            if cost + LIKELIHOOD_WEIGHT * spread_cost < ONE_VEHICLE_LIMIT:
+                cost += SPREAD_WEIGHT * spread_cost
+                pairs.append(Pair(i, j, min(cost, LEAVE_COST - LEAST_DIFFERENCE)))
+    return pairs
 
 
-def complete_cut_boxes(
-    mean: Array, measured: Array, variance: Array, image_size: tuple[int, int]
-) -> tuple[Array, Array]:
-    """What boxes that the image border cuts say about vehicles that have been seen as a whole.
+class _Places:
+    """Detections by their place: a track looks at its neighbours alone."""
+
+    def __init__(self, found: Sequence[Detection]) -> None:
+        whole = sorted((each.box[0], j) for j, each in enumerate(found) if not each.cut)
+        self._x = [x for x, _ in whole]
+        self._order = [(j, found[j].box[1]) for _, j in whole]
+        self._of_whole = _largest([found[j].variance for _, j in whole])
+        self._cut = [j for j, each in enumerate(found) if each.cut]
+        self._of_cut = _largest([found[j].variance for j in self._cut])
+        self._found = found
+
+    def near(self, state: State, alone: float) -> tuple[float, list[int]]:
+        """Detections that may be the vehicle of a track.
+
+        Args:
+            state: The prediction.
+            alone: What pairs cost with this track beside distance and spread.
+
+        Returns:
+            The squared distance from which on any pair with a whole box costs
+            `ONE_VEHICLE_LIMIT`, and the detections within it, for cut boxes within `GATE`.
+        """
+        gate, near = 0.0, []
+        x, y, _, _ = state
+        if self._of_whole is not None:
+            spread_cost = math.log(spread_ratio(state, self._of_whole))
+            left = ONE_VEHICLE_LIMIT - alone - LIKELIHOOD_WEIGHT * spread_cost
+            if left > 0.0:
+                gate = min(TAIL * math.expm1(left / (TAIL + 4.0)), GATE)
+                across = math.sqrt(gate * (x[VARIANCE] + self._of_whole[0]))
+                along = math.sqrt(gate * (y[VARIANCE] + self._of_whole[1]))
+                first = bisect_left(self._x, x[MEAN] - across)
+                last = bisect_right(self._x, x[MEAN] + across)
+                low, high = y[MEAN] - along, y[MEAN] + along
+                near = [j for j, at in self._order[first:last] if low <= at <= high]
+        if self._of_cut is not None:
+            near += self._cut_near(state, self._of_cut)
+        return gate, near
+
+    def _cut_near(self, state: State, variance: Four) -> list[int]:
+        """Cut boxes within `GATE` or beside: their middle can be half a vehicle away from its."""
+        x, y, width, height = state
+        across = max(math.sqrt(GATE * (x[VARIANCE] + variance[0])), math.exp(width[MEAN]))
+        along = max(math.sqrt(GATE * (y[VARIANCE] + variance[1])), math.exp(height[MEAN]))
+        return [
+            j
+            for j in self._cut
+            if abs(self._found[j].box[0] - x[MEAN]) <= across
+            and abs(self._found[j].box[1] - y[MEAN]) <= along
+        ]
+
+
+def _largest(variances: Sequence[Four]) -> Four | None:
+    if not variances:
+        return None
+    x, y, width, height = zip(*variances, strict=True)
+    return max(x), max(y), max(width), max(height)
+
+
+def complete_cut_box(state: State, found: Detection) -> tuple[Four, Four]:
+    """What a box that the image border cuts says about a vehicle that has been seen as a whole.
 
     Of such a box only the edges inside the image are the vehicle's. So its middle follows from the
     inner edge and the predicted size; the size itself is not measured.
 
     Args:
-        mean: (4, K) predictions: x, y, logarithms of width and height.
-        measured: (4, K) the same of the cut boxes.
-        variance: (4, K) variances of `measured`, `CUT_FACTOR` times those of whole boxes.
-        image_size: (width, height) in pixels.
+        state: The prediction.
+        found: The cut box.
 
     Returns:
-        (4, K) measurements of the whole vehicle, and their variances.
+        Measurements of the whole vehicle, and their variances.
     """
-    values, spreads = measured.copy(), variance / CUT_FACTOR
-    for axis, extent in enumerate(image_size):
-        size, whole = np.exp(measured[axis + 2]), np.exp(mean[axis + 2])
-        low = measured[axis] - 0.5 * size < BORDER_RATIO * extent
-        high = measured[axis] + 0.5 * size > (1.0 - BORDER_RATIO) * extent
-        cut = low | high
-        inner = np.where(low, 0.5 * (size - whole), 0.5 * (whole - size))
-        values[axis] = np.where(low ^ high, measured[axis] + inner, measured[axis])
-        grown = spreads[axis] * np.square(whole / size)
-        spreads[axis] = np.where(low & high, NOT_MEASURED, np.where(cut, grown, spreads[axis]))
-        larger = np.maximum(mean[axis + 2], measured[axis + 2])
-        values[axis + 2] = np.where(cut, larger, measured[axis + 2])
-        spreads[axis + 2] = np.where(cut, NOT_MEASURED, spreads[axis + 2])
-    return values, spreads
+    (x, y, width, height), (of_x, of_y, of_width, of_height) = found.measured, found.variance
+    x, width, of_x, of_width = _complete(
+        state[2][MEAN], found.box[2], found.cut_across, (x, width, of_x, of_width)
+    )
+    y, height, of_y, of_height = _complete(
+        state[3][MEAN], found.box[3], found.cut_along, (y, height, of_y, of_height)
+    )
+    return (x, y, width, height), (of_x, of_y, of_width, of_height)
 
 
-def assign(row: Index, column: Index, cost: Array, limit: float) -> NDArray[np.intp]:
-    """The pairs of the cheapest assignment, in which staying alone costs `limit`.
+def _complete(expected: float, size_px: float, cut: Sides, seen: Four) -> Four:
+    """`complete_cut_box` along one axis.
 
-    Pairs whose row and column have no other candidate are taken at once; the Hungarian method
+    Args:
+        expected: Logarithm of the predicted size.
+        size_px: Size of the cut box.
+        cut: Where it is cut.
+        seen: Middle and logarithm of the size of the cut box, and their variances.
+
+    Returns:
+        `seen` of the whole vehicle.
+    """
+    middle, log_size, of_middle, of_size = seen
+    low, high = cut
+    if not (low or high):
+        return middle, log_size, of_middle / CUT_FACTOR, of_size / CUT_FACTOR
+    larger = max(expected, log_size)
+    if low and high:
+        return middle, larger, NOT_MEASURED, NOT_MEASURED
+    whole_px = math.exp(expected)
+    hidden_px = whole_px - size_px
+    middle += 0.5 * (hidden_px if high else -hidden_px)
+    ratio = whole_px / size_px
+    return middle, larger, of_middle / CUT_FACTOR * (ratio * ratio), NOT_MEASURED
+
+
+def assign(pairs: Sequence[Pair], limit: float) -> list[Pair]:
+    """The cheapest assignment, in which staying alone costs `limit`.
+
+    Pairs whose track and detection have no other candidate are taken at once; the Hungarian method
     (Kuhn 1955) decides among the others alone. Both together are the optimum.
 
     Args:
-        row: (P,) row of each candidate pair.
-        column: (P,) its column; no pair twice.
-        cost: (P,) its cost; pairs at `limit` or above are no candidates.
-        limit: Cost of leaving a row or column without partner.
-
-    Returns:
-        Indices of the chosen pairs.
+        pairs: Candidates, none twice; those at `limit` or above are none.
+        limit: Cost of leaving a track or a detection without partner.
     """
-    candidate = np.flatnonzero(cost < limit)
-    if not len(candidate):
-        return candidate
-    rows, columns = row[candidate], column[candidate]
-    rivals = np.bincount(rows)[rows] + np.bincount(columns)[columns]
-    sole = rivals == 2
-    if sole.all():
-        return candidate
-    contested = candidate[~sole]
-    used_row, i = np.unique(row[contested], return_inverse=True)
-    used_column, j = np.unique(column[contested], return_inverse=True)
-    dense = np.full((len(used_row), len(used_column)), limit)
-    dense[i, j] = cost[contested]
-    pair = np.full(dense.shape, -1, dtype=np.intp)
-    pair[i, j] = contested
-    best = pair[linear_sum_assignment(dense)]
-    return np.concatenate([candidate[sole], best[best >= 0]])
+    of_track: dict[int, int] = {}
+    of_detection: dict[int, int] = {}
+    for track, detection, cost in pairs:
+        if cost < limit:
+            of_track[track] = of_track.get(track, 0) + 1
+            of_detection[detection] = of_detection.get(detection, 0) + 1
+    sole: list[Pair] = []
+    contested: list[Pair] = []
+    for pair in pairs:
+        if pair.cost < limit:
+            alone = of_track[pair.track] == of_detection[pair.detection] == 1
+            (sole if alone else contested).append(pair)
+    if not contested:
+        return sole
+    row = {track: i for i, track in enumerate(sorted({pair.track for pair in contested}))}
+    column = {found: j for j, found in enumerate(sorted({pair.detection for pair in contested}))}
+    costs = np.full((len(row), len(column)), limit)
+    at = {(row[pair.track], column[pair.detection]): pair for pair in contested}
+    for place, pair in at.items():
+        costs[place] = pair.cost
+    best = zip(*(index.tolist() for index in linear_sum_assignment(costs)), strict=True)
+    return sole + [at[place] for place in best if place in at]

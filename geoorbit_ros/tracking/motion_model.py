@@ -1,4 +1,4 @@
-"""Motion of vehicles in the image, for all tracks at once: constant speed on the road, in time.
+"""Motion of vehicles in the image: constant speed on the road, in time.
 
 A vehicle that moves steadily on a flat road seen by a pinhole camera has homogeneous image
 coordinates that are linear in time: its box grows as 1 / (1 - g t), with g the relative growth per
@@ -12,21 +12,25 @@ in one step. A gap is therefore one long step, whose correction re-estimates the
 two observations at its ends (the observation-centric re-update of OC-SORT, Cao et al. 2023,
 arXiv:2203.14360, section 4.1, in closed form), and frames without detections change nothing.
 
-Arrays are (5, 4, N): mean, rate, and the three entries of the covariance (variance of the mean,
-covariance, variance of the rate), of x, y in pixels and of the logarithms of width and height.
+A state holds one `Axis` for each of x, y in pixels and the logarithms of width and height. They are
+tuples of plain numbers: a camera sees a handful of vehicles at once, and for so few one call of an
+array library costs as much as the whole arithmetic (docs/adr/0045-the-tracker-in-plain-numbers.md).
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
+Axis = tuple[float, float, float, float, float]
+"""Mean, rate, variance of the mean, covariance of both, variance of the rate."""
+State = tuple[Axis, Axis, Axis, Axis]
+"""x, y in pixels, logarithms of width and height."""
+Four = tuple[float, float, float, float]
+"""Of x, y, width, height, or of what is measured of them."""
 
 MEAN, RATE, VARIANCE, COVARIANCE, RATE_VARIANCE = range(5)
-"""Indices of a state's first axis."""
+"""Indices of an axis."""
 MAX_GROWTH = 2.0
 """Relative growth, 1/s, beyond which it is an error: that of a vehicle 15 m away at 30 m/s."""
 TAIL = 6.0
@@ -58,85 +62,162 @@ class MotionNoise:
     speed: float = 6.0
     growth_rate: float = 0.65
 
-    def rate_variance(self, box: Array) -> Array:
-        """(4, N) of the rates of vehicles not seen before, in boxes (4, N)."""
-        variance = np.full(box.shape, self.growth_rate**2)
-        variance[:2] = self.speed**2 * box[2] * box[3]
-        return variance
+    def rate_variance(self, box: Four) -> Four:
+        """Of the rates of a vehicle not seen before, in a box x, y, width, height."""
+        speed = self.speed**2 * box[2] * box[3]
+        growth = self.growth_rate**2
+        return speed, speed, growth, growth
 
 
-def measurements(box: Array) -> Array:
-    """(4, N) x, y, log width, log height of boxes (4, N) x, y, width, height."""
-    found = box.copy()
-    np.log(box[2:], out=found[2:])
-    return found
+def measurements(box: Four) -> Four:
+    """x, y, log width, log height of a box x, y, width, height."""
+    x, y, width, height = box
+    return x, y, math.log(width), math.log(height)
 
 
-def measurement_variance(box: Array, noise: MotionNoise) -> Array:
-    """(4, N) variances of `measurements`."""
-    variance = np.full(box.shape, noise.size**2)
-    np.square(noise.position * box[2:], out=variance[:2])
-    return variance
+def box_of(state: State) -> Four:
+    """Box x, y, width, height that a state shows."""
+    x, y, width, height = state
+    return x[MEAN], y[MEAN], math.exp(width[MEAN]), math.exp(height[MEAN])
 
 
-def start(box: Array, variance: Array, rate: Array, rate_variance: Array) -> Array:
-    """(5, 4, N) states of tracks first seen in boxes (4, N), with what is expected of their rates.
+def measurement_variance(box: Four, noise: MotionNoise) -> Four:
+    """Variances of `measurements`."""
+    size = noise.size**2
+    return (noise.position * box[2]) ** 2, (noise.position * box[3]) ** 2, size, size
+
+
+def start(box: Four, variance: Four, rate: Four, rate_variance: Four) -> State:
+    """State of a track first seen in a box, with what is expected of its rates.
 
     Args:
-        box: (4, N) x, y, width, height.
-        variance: (4, N) of its measurements.
-        rate: (4, N) expected rates.
-        rate_variance: (4, N) their variances.
+        box: x, y, width, height.
+        variance: Of its measurements.
+        rate: Expected rates.
+        rate_variance: Their variances.
     """
-    state = np.zeros((5, *box.shape))
-    state[MEAN], state[VARIANCE] = measurements(box), variance
-    state[RATE], state[RATE_VARIANCE] = rate, rate_variance
-    return state
-
-
-def predict(state: Array, elapsed_s: Array, noise: MotionNoise) -> Array:
-    """(5, 4, N) states `elapsed_s` (N,) after the observations that `state` (5, 4, N) is of."""
-    growth = np.minimum(np.maximum(state[RATE, 2:], -MAX_GROWTH), MAX_GROWTH)
-    per_side = np.empty((4, len(elapsed_s)))
-    # Of both sides' growth, the mean: noise halves, and a turning vehicle's width says little.
-    per_side[:2] = 0.5 * (growth[0] + growth[1])
-    per_side[2:] = growth
-    left = 1.0 - np.minimum(per_side * elapsed_s, MAX_APPROACH)
-    step, pace = elapsed_s / left, 1.0 / (left * left)
-    intensity = np.empty_like(step)
-    intensity[:2] = noise.acceleration**2 * np.exp(state[MEAN, 2] + state[MEAN, 3])
-    intensity[2:] = noise.growth**2
-    drift = intensity * step
-    carried = state[COVARIANCE] + step * state[RATE_VARIANCE]
-    after = np.empty_like(state)
-    after[MEAN, :2] = state[MEAN, :2] + step[:2] * state[RATE, :2]
-    after[MEAN, 2:] = state[MEAN, 2:] - np.log(left[2:])
-    after[RATE, :2] = pace[:2] * state[RATE, :2]
-    after[RATE, 2:] = growth / left[2:]
-    after[VARIANCE] = (
-        state[VARIANCE] + step * (state[COVARIANCE] + carried) + drift * step * step / 3.0
+    x, y, width, height = (
+        (mean, rate[k], variance[k], 0.0, rate_variance[k])
+        for k, mean in enumerate(measurements(box))
     )
-    after[COVARIANCE] = pace * (carried + 0.5 * drift * step)
-    after[RATE_VARIANCE] = pace * pace * (state[RATE_VARIANCE] + drift)
-    return after
+    return x, y, width, height
 
 
-def correct(predicted: Array, measured: Array, variance: Array) -> Array:
-    """(5, 4, N) states after observing `measured` (4, N) with `variance` (4, N), by Kalman."""
-    error = measured - predicted[MEAN]
-    total = predicted[VARIANCE] + variance
-    gain = predicted[VARIANCE] / total
-    rate_gain = predicted[COVARIANCE] / total
-    after = np.empty_like(predicted)
-    after[MEAN] = predicted[MEAN] + gain * error
-    after[RATE] = predicted[RATE] + rate_gain * error
-    after[VARIANCE] = gain * variance
-    after[COVARIANCE] = rate_gain * variance
-    after[RATE_VARIANCE] = predicted[RATE_VARIANCE] - rate_gain * predicted[COVARIANCE]
-    return after
+def predict(state: State, elapsed_s: float, noise: MotionNoise) -> State:
+    """State `elapsed_s` after the observation that `state` is of."""
+    x, y, width, height = state
+    across = min(max(width[RATE], -MAX_GROWTH), MAX_GROWTH)
+    upward = min(max(height[RATE], -MAX_GROWTH), MAX_GROWTH)
+    # Shares of the time to contact that are left. Of both sides' growth, the middle moves with the
+    # mean: noise halves, and a turning vehicle's width says little.
+    left = 1.0 - min(0.5 * (across + upward) * elapsed_s, MAX_APPROACH)
+    left_across = 1.0 - min(across * elapsed_s, MAX_APPROACH)
+    left_upward = 1.0 - min(upward * elapsed_s, MAX_APPROACH)
+    step = elapsed_s / left
+    change = noise.acceleration**2 * math.exp(width[MEAN] + height[MEAN])
+    growth = noise.growth**2
+    return (
+        _carried(x, x[MEAN] + step * x[RATE], x[RATE], elapsed_s, left, change),
+        _carried(y, y[MEAN] + step * y[RATE], y[RATE], elapsed_s, left, change),
+        _carried(
+            width,
+            width[MEAN] - math.log(left_across),
+            across * left_across,
+            elapsed_s,
+            left_across,
+            growth,
+        ),
+        _carried(
+            height,
+            height[MEAN] - math.log(left_upward),
+            upward * left_upward,
+            elapsed_s,
+            left_upward,
+            growth,
+        ),
+    )
 
 
-def correct_in_doubt(predicted: Array, measured: Array, variance: Array) -> Array:
+def _carried(
+    axis: Axis, mean: float, rate: float, elapsed_s: float, left: float, intensity: float
+) -> Axis:
+    """`axis` with its new mean, later; the rate grows as the square of the time `left` shrinks."""
+    _, _, variance, covariance, rate_variance = axis
+    step, pace = elapsed_s / left, 1.0 / (left * left)
+    drift = intensity * step
+    carried = covariance + step * rate_variance
+    return (
+        mean,
+        pace * rate,
+        variance + step * (covariance + carried) + drift * step * step / 3.0,
+        pace * (carried + 0.5 * drift * step),
+        pace * pace * (rate_variance + drift),
+    )
+
+
+def correct(predicted: State, measured: Four, variance: Four, doubt: float = 1.0) -> State:
+    """State after observing `measured` with `doubt` times its `variance`, by Kalman."""
+    return (
+        _corrected(predicted[0], measured[0], doubt * variance[0]),
+        _corrected(predicted[1], measured[1], doubt * variance[1]),
+        _corrected(predicted[2], measured[2], doubt * variance[2]),
+        _corrected(predicted[3], measured[3], doubt * variance[3]),
+    )
+
+
+def _corrected(axis: Axis, measured: float, noise: float) -> Axis:
+    mean, rate, variance, covariance, rate_variance = axis
+    error, total = measured - mean, variance + noise
+    gain, rate_gain = variance / total, covariance / total
+    return (
+        mean + gain * error,
+        rate + rate_gain * error,
+        gain * noise,
+        rate_gain * noise,
+        rate_variance - rate_gain * covariance,
+    )
+
+
+def squared_distance(predicted: State, measured: Four, variance: Four) -> float:
+    """In 1-sigma errors of prediction and measurement together."""
+    distance = distance_within(math.inf, predicted, measured, variance)
+    return math.inf if distance is None else distance
+
+
+def distance_within(limit: float, predicted: State, measured: Four, variance: Four) -> float | None:
+    """Squared distance in 1-sigma errors of prediction and measurement; None from `limit` on."""
+    (x, _, of_x, _, _), (y, _, of_y, _, _), (w, _, of_w, _, _), (h, _, of_h, _, _) = predicted
+    error = measured[0] - x
+    distance = error * error / (of_x + variance[0])
+    if distance >= limit:
+        return None
+    error = measured[1] - y
+    distance += error * error / (of_y + variance[1])
+    if distance >= limit:
+        return None
+    error = measured[2] - w
+    distance += error * error / (of_w + variance[2])
+    error = measured[3] - h
+    distance += error * error / (of_h + variance[3])
+    return distance if distance < limit else None
+
+
+def spread_ratio(predicted: State, variance: Four) -> float:
+    """How many times larger errors are with the prediction's than with the measurement's alone.
+
+    The product over the four measurements, of variances.
+    """
+    (_, _, x, _, _), (_, _, y, _, _), (_, _, width, _, _), (_, _, height, _, _) = predicted
+    of_x, of_y, of_width, of_height = variance
+    return (
+        ((x + of_x) / of_x)
+        * ((y + of_y) / of_y)
+        * ((width + of_width) / of_width)
+        * ((height + of_height) / of_height)
+    )
+
+
+def correct_in_doubt(predicted: State, measured: Four, variance: Four) -> State:
     """`correct`, in which measurements count less the farther they are from their prediction.
 
     Errors of boxes have heavy tails: a detector splits a vehicle, or merges it with another. Under
@@ -144,7 +225,5 @@ def correct_in_doubt(predicted: Array, measured: Array, variance: Array) -> Arra
     1-sigma errors has (TAIL + d) / (TAIL + 4) times its variance (Lange, Little, Taylor 1989,
     "Robust statistical modeling using the t distribution"); near ones keep theirs.
     """
-    error = measured - predicted[MEAN]
-    distance = (error * error / (predicted[VARIANCE] + variance)).sum(axis=0)
-    doubt = np.maximum((TAIL + distance) / (TAIL + 4.0), 1.0)
-    return correct(predicted, measured, variance * doubt)
+    distance = squared_distance(predicted, measured, variance)
+    return correct(predicted, measured, variance, max((TAIL + distance) / (TAIL + 4.0), 1.0))

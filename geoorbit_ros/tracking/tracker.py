@@ -7,6 +7,7 @@ arXiv:2203.14360, section 4.1).
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any, Protocol, Self, runtime_checkable
 
@@ -28,29 +29,33 @@ from geoorbit_ros.core.tables import (
 from geoorbit_ros.tracking.association import (
     LEAVE_COST,
     WEAK_COST,
-    Pairs,
     assign,
     candidate_pairs,
-    complete_cut_boxes,
+    complete_cut_box,
 )
-from geoorbit_ros.tracking.motion_model import MEAN, MotionNoise, correct_in_doubt, predict, start
+from geoorbit_ros.tracking.motion_model import (
+    MEAN,
+    Four,
+    MotionNoise,
+    State,
+    box_of,
+    correct_in_doubt,
+    predict,
+    start,
+)
 from geoorbit_ros.tracking.parameters import TrackerParameters
-from geoorbit_ros.tracking.track_table import FrameDetections, TrackTable, prepare
+from geoorbit_ros.tracking.track import Detection, Track, prepare
 from geoorbit_ros.tracking.traffic_model import (
     KEPT_SCORES,
     Flow,
     PredictionGate,
     ScoreModel,
     UnsteadyMotion,
-    hidden,
+    is_hidden,
     log_odds,
+    surprise,
 )
 
-Array = NDArray[np.float64]
-
-GAP_COST = 3.0
-"""Cost of a second unobserved: the longer, the more likely the vehicle is gone and this another.
-Chosen: larger loses vehicles behind trucks, smaller gives their ids to others."""
 WEAK_GAP_S = 0.8
 """Weak detections continue tracks that were observed this recently. Chosen: longer lets false boxes
 take over lost tracks, shorter loses far vehicles."""
@@ -206,9 +211,7 @@ class Tracker:
 
     def __init__(self, parameters: TrackerParameters | None = None) -> None:
         self._p = parameters or TrackerParameters()
-        self._needed = float(
-            log_odds(np.array(self._p.confirm_score)) - log_odds(np.array(self._p.birth_score))
-        )
+        self._needed = log_odds(self._p.confirm_score) - log_odds(self._p.birth_score)
         self._per_hit = self._needed / max(self._p.confirm_hits - 1, 1)
         self._next_id = self._p.first_id
         self.counts = TrackerCounts()
@@ -221,7 +224,7 @@ class Tracker:
 
     def reset(self) -> None:
         """Forget all tracks, for a source that starts again; ids go on."""
-        self._tracks = TrackTable()
+        self._tracks: list[Track] = []
         self._flow = Flow()
         self._gate = PredictionGate()
         self._scores = ScoreModel(self._p.birth_score)
@@ -232,13 +235,12 @@ class Tracker:
     @property
     def alive(self) -> int:
         """Confirmed tracks, unobserved ones included."""
-        return int(np.count_nonzero(self._tracks.track_id))
+        return sum(track.track_id > 0 for track in self._tracks)
 
     @property
     def lost(self) -> int:
         """Confirmed tracks that were not observed in the last frame."""
-        tracks = self._tracks
-        return int(np.count_nonzero((tracks.track_id > 0) & (tracks.missed > 0)))
+        return sum(track.track_id > 0 and track.missed > 0 for track in self._tracks)
 
     def update(self, stamp_ns: int, detections: NDArray[np.void]) -> NDArray[np.void]:
         """Take one frame.
@@ -257,36 +259,21 @@ class Tracker:
         """
         self._check(stamp_ns, detections)
         noise = self._motion.noise
-        found = prepare(detections, self._p, noise)
-        self._count(detections, found)
-        tracks = self._tracks
-        self._end(self._expired(tracks.elapsed_s(stamp_ns)))
-        elapsed_s = tracks.elapsed_s(stamp_ns)
-        predicted = predict(tracks.state, elapsed_s, noise)
+        found, unusable = prepare(detections, self._p, noise)
+        self._count(len(detections), unusable, len(found))
+        self._end(self._expired(stamp_ns))
+        elapsed_s = [track.elapsed_s(stamp_ns) for track in self._tracks]
+        predicted = [
+            predict(track.state, elapsed, noise)
+            for track, elapsed in zip(self._tracks, elapsed_s, strict=True)
+        ]
         partner = self._associate(stamp_ns, predicted, elapsed_s, found)
-        hit = np.flatnonzero(partner >= 0)
-        of_hit = partner[hit]
-        self.counts.recovered += int(
-            np.count_nonzero((elapsed_s[hit] > self._p.predict_s) & (tracks.track_id[hit] > 0))
-        )
-        tracks.missed += 1
-        measured, variance = self._measured(predicted[MEAN][:, hit], hit, of_hit, found)
-        known = tracks.hits[hit] >= KEPT_SCORES
-        self._motion.learn(predicted[:, :, hit[known]], measured[:, known], variance[:, known])
-        state = correct_in_doubt(predicted[:, :, hit], measured, variance)
-        self._weigh(partner, found)
-        # A vehicle that enters piece by piece shows no speed: its motion begins with a whole box.
-        anew = tracks.entering[hit]
-        state[:, :, anew] = self._start(found, of_hit[anew])
-        self._gate.learn(tracks.predicted_frames[:, hit], right=True)
-        before_s = tracks.observed_s()[hit]
-        tracks.observe(hit, stamp_ns, state, found, of_hit)
-        due = tracks.observed_s()[hit] // FLOW_S > before_s // FLOW_S
-        self._flow.add(state[:, :, due & (tracks.track_id[hit] > 0) & ~anew])
+        self._observe(stamp_ns, predicted, found, partner)
         left = self._outside(predicted)
-        predicted = predicted[:, :, ~left]
-        self._end(left)
-        self._begin(stamp_ns, found, partner)
+        if left:
+            predicted = [state for i, state in enumerate(predicted) if i not in left]
+            self._end(left)
+        self._begin(stamp_ns, found, set(partner.values()))
         self._confirm()
         return self._output(stamp_ns, predicted, found)
 
@@ -300,158 +287,175 @@ class Tracker:
             self._weight = min((stamp_ns - self._stamp_ns) / 1e9 / EVIDENCE_S, 1.0)
         self._stamp_ns = stamp_ns
 
-    def _count(self, detections: NDArray[np.void], found: FrameDetections) -> None:
+    def _count(self, given: int, unusable: int, used: int) -> None:
         self.counts.frames += 1
-        self.counts.detections += len(detections)
-        self.counts.unusable += found.unusable
-        self.counts.weak += len(detections) - found.unusable - len(found)
+        self.counts.detections += given
+        self.counts.unusable += unusable
+        self.counts.weak += given - unusable - used
 
     def _associate(
-        self, stamp_ns: int, predicted: Array, elapsed_s: Array, found: FrameDetections
-    ) -> NDArray[np.intp]:
-        """(N,) detection that continues each track, -1 for none."""
-        tracks = self._tracks
-        partner = np.full(len(tracks), -1, dtype=np.intp)
-        if not len(tracks) or not len(found):
-            return partner
-        pairs = candidate_pairs(
-            predicted,
-            GAP_COST * elapsed_s,
-            tracks.track_id > 0,
-            tracks.class_id,
-            ~tracks.entering,
-            found,
-            self._scores.doubt(found.score_bin) + WEAK_COST * ~found.strong,
-            (self._p.image_width, self._p.image_height),
-        )
-        of_strong = found.strong[pairs.detection]
-        _settle(partner, pairs.where(of_strong), LEAVE_COST)
-        doubtful_s = (stamp_ns - tracks.sure_ns) * 1e-9
-        trusted = (elapsed_s < WEAK_GAP_S) & (doubtful_s < WEAK_S)
-        open_weak = ~of_strong & (partner[pairs.track] < 0) & trusted[pairs.track]
-        if open_weak.any():
-            _settle(partner, pairs.where(open_weak), LEAVE_COST)
+        self,
+        stamp_ns: int,
+        predicted: Sequence[State],
+        elapsed_s: Sequence[float],
+        found: Sequence[Detection],
+    ) -> dict[int, int]:
+        """Track to the detection that continues it."""
+        of_bin = {
+            score_bin: self._scores.doubt(score_bin)
+            for score_bin in {each.score_bin for each in found}
+        }
+        doubt = [of_bin[each.score_bin] + (0.0 if each.strong else WEAK_COST) for each in found]
+        pairs = candidate_pairs(self._tracks, predicted, elapsed_s, found, doubt)
+        strong = assign([pair for pair in pairs if found[pair.detection].strong], LEAVE_COST)
+        partner = {pair.track: pair.detection for pair in strong}
+        weak = [
+            pair
+            for pair in pairs
+            if not found[pair.detection].strong
+            and pair.track not in partner
+            and elapsed_s[pair.track] < WEAK_GAP_S
+            and (stamp_ns - self._tracks[pair.track].sure_ns) * 1e-9 < WEAK_S
+        ]
+        partner.update((pair.track, pair.detection) for pair in assign(weak, LEAVE_COST))
         return partner
 
-    def _measured(
-        self, mean: Array, hit: NDArray[np.intp], of_hit: NDArray[np.intp], found: FrameDetections
-    ) -> tuple[Array, Array]:
-        """Measurements (4, H) of the tracks `hit` and their variances, cut boxes completed."""
-        measured, variance = found.measured[:, of_hit], found.variance[:, of_hit]
-        cut = found.cut[of_hit] & ~self._tracks.entering[hit]
-        if cut.any():
-            size = (self._p.image_width, self._p.image_height)
-            measured[:, cut], variance[:, cut] = complete_cut_boxes(
-                mean[:, cut], measured[:, cut], variance[:, cut], size
-            )
-        return measured, variance
+    def _observe(
+        self,
+        stamp_ns: int,
+        predicted: Sequence[State],
+        found: Sequence[Detection],
+        partner: Mapping[int, int],
+    ) -> None:
+        """Take what this frame says of each track: where it is, and whether it is a vehicle."""
+        surprises: list[float] = []
+        lasting: list[int] = []
+        for i, (track, ahead) in enumerate(zip(self._tracks, predicted, strict=True)):
+            if i not in partner:
+                track.missed += 1
+                if not track.track_id:
+                    track.evidence -= self._weight * MISS_EVIDENCE
+                continue
+            detection = found[partner[i]]
+            measured, variance = detection.measured, detection.variance
+            if detection.cut and not track.entering:
+                measured, variance = complete_cut_box(ahead, detection)
+            if track.hits >= KEPT_SCORES:
+                surprises.append(surprise(ahead, measured, variance))
+            self._weigh(track, detection)
+            if track.hits >= LASTING_HITS:
+                lasting.append(detection.score_bin)
+            # A vehicle that enters piece by piece shows no speed: its motion begins with a whole
+            # box.
+            anew = track.entering
+            state = self._start(detection) if anew else correct_in_doubt(ahead, measured, variance)
+            if track.track_id and track.elapsed_s(stamp_ns) > self._p.predict_s:
+                self.counts.recovered += 1
+            self._gate.learn(track.predicted_open, track.predicted_hidden, right=True)
+            before_s = track.observed_s
+            track.observe(stamp_ns, state, detection)
+            due = track.observed_s // FLOW_S > before_s // FLOW_S
+            if due and track.track_id and not anew:
+                self._flow.add(state)
+        self._scores.observe(lasting)
+        self._motion.learn(surprises)
 
-    def _weigh(self, partner: NDArray[np.intp], found: FrameDetections) -> None:
-        """Take what this frame says for and against each track being a vehicle."""
-        tracks = self._tracks
-        hit = np.flatnonzero(partner >= 0)
-        of_hit = partner[hit]
-        bins = found.score_bin[of_hit]
-        says = self._scores.evidence(bins) + self._per_hit
-        says[~found.strong[of_hit]] = 0.0
-        tracks.evidence[hit] += self._weight * says
-        unseen = (partner < 0) & (tracks.track_id == 0)
-        tracks.evidence[unseen] -= self._weight * MISS_EVIDENCE
-        early = tracks.hits[hit] < KEPT_SCORES
-        tracks.score_bins[tracks.hits[hit[early]], hit[early]] = bins[early]
-        lasting = hit[tracks.hits[hit] == LASTING_HITS - 1]
-        if len(lasting):
-            self._scores.learn(tracks.score_bins[:, lasting], lasted=True)
-        self._scores.observe(bins[tracks.hits[hit] >= LASTING_HITS])
+    def _weigh(self, track: Track, detection: Detection) -> None:
+        """Take what a detection says for or against its track being a vehicle."""
+        if detection.strong:
+            says = self._scores.evidence(detection.score_bin) + self._per_hit
+            track.evidence += self._weight * says
+        if track.hits < KEPT_SCORES:
+            track.score_bins.append(detection.score_bin)
+        if track.hits == LASTING_HITS - 1:
+            self._scores.learn(track.score_bins, lasted=True)
 
     def _confirm(self) -> None:
-        tracks = self._tracks
-        sure = (tracks.evidence >= self._needed) | (tracks.observed_s() >= CONFIRM_S)
-        fresh = np.flatnonzero((tracks.track_id == 0) & (tracks.missed == 0) & sure)
-        if len(fresh):
-            if self._next_id + len(fresh) - 1 > MAX_ID:
-                self._next_id = 1
-            tracks.track_id[fresh] = self._next_id + np.arange(len(fresh))
-            self._next_id += len(fresh)
-            self.counts.births += len(fresh)
+        for track in self._tracks:
+            if track.track_id or track.missed:
+                continue
+            if track.evidence >= self._needed or track.observed_s >= CONFIRM_S:
+                track.track_id = self._next_id
+                self._next_id = self._next_id % MAX_ID + 1
+                self.counts.births += 1
 
-    def _expired(self, elapsed_s: Array) -> NDArray[np.bool_]:
-        """(N,) tracks that have been unobserved for too long."""
-        tracks = self._tracks
-        expired = elapsed_s > self._p.max_gap_s
-        if len(tracks) > MAX_TRACKS:
-            longest = np.argsort(-elapsed_s, kind="stable")
-            expired[longest[: len(tracks) - MAX_TRACKS]] = True
+    def _expired(self, stamp_ns: int) -> set[int]:
+        """Tracks that have been unobserved for too long."""
+        elapsed_s = [track.elapsed_s(stamp_ns) for track in self._tracks]
+        expired = {i for i, elapsed in enumerate(elapsed_s) if elapsed > self._p.max_gap_s}
+        if len(elapsed_s) > MAX_TRACKS:
+            longest = sorted(range(len(elapsed_s)), key=lambda i: -elapsed_s[i])
+            expired.update(longest[: len(elapsed_s) - MAX_TRACKS])
         return expired
 
-    def _outside(self, predicted: Array) -> NDArray[np.bool_]:
-        """(N,) unobserved tracks that have left the image."""
-        x, y = predicted[MEAN, 0], predicted[MEAN, 1]
-        if not self._p.image_width:
-            return np.zeros(len(x), dtype=bool)
-        outside = (x < 0.0) | (x > self._p.image_width) | (y < 0.0) | (y > self._p.image_height)
-        return np.asarray(outside & (self._tracks.missed > 0))
+    def _outside(self, predicted: Sequence[State]) -> set[int]:
+        """Unobserved tracks that have left the image."""
+        width, height = self._p.image_width, self._p.image_height
+        if not width:
+            return set()
+        return {
+            i
+            for i, (x, y, *_) in enumerate(predicted)
+            if self._tracks[i].missed and not (0.0 <= x[MEAN] <= width and 0.0 <= y[MEAN] <= height)
+        }
 
-    def _end(self, ended: NDArray[np.bool_]) -> None:
-        if ended.any():
-            tracks = self._tracks
-            self._gate.learn(tracks.predicted_frames[:, ended], right=False)
-            early = ended & (tracks.hits <= EARLY_HITS) & ~tracks.cut
-            if early.any():
-                self._scores.learn(tracks.score_bins[:, early], lasted=False)
-            self.counts.deaths += int(np.count_nonzero(ended & (self._tracks.track_id > 0)))
-            self._tracks.keep(~ended)
+    def _end(self, ended: Set[int]) -> None:
+        if not ended:
+            return
+        for i in sorted(ended):
+            track = self._tracks[i]
+            self._gate.learn(track.predicted_open, track.predicted_hidden, right=False)
+            if track.hits <= EARLY_HITS and not track.cut:
+                self._scores.learn(track.score_bins, lasted=False)
+            self.counts.deaths += track.track_id > 0
+        self._tracks = [track for i, track in enumerate(self._tracks) if i not in ended]
 
-    def _begin(self, stamp_ns: int, found: FrameDetections, partner: NDArray[np.intp]) -> None:
-        free = found.score >= self._p.birth_score
-        free[partner[partner >= 0]] = False
-        new = np.flatnonzero(free)
-        if len(new):
-            state = self._start(found, new)
-            started = TrackTable.started(stamp_ns, state, found, new, self._scores)
-            started.evidence *= self._weight
-            self._tracks.append(started)
+    def _begin(self, stamp_ns: int, found: Sequence[Detection], taken: Set[int]) -> None:
+        prior = self._scores.prior
+        for j, detection in enumerate(found):
+            if detection.score >= self._p.birth_score and j not in taken:
+                evidence = self._weight * (self._scores.evidence(detection.score_bin) + prior)
+                state = self._start(detection)
+                self._tracks.append(Track.started(stamp_ns, state, detection, evidence))
 
-    def _start(self, found: FrameDetections, which: NDArray[np.intp]) -> Array:
-        """(5, 4, K) states of vehicles seen for the first time in detections `which`."""
-        box = found.box[:, which]
-        return start(box, found.variance[:, which], *self._flow.expect(box, self._motion.noise))
+    def _start(self, detection: Detection) -> State:
+        """State of a vehicle seen for the first time."""
+        expected = self._flow.expect(detection.box, self._motion.noise)
+        return start(detection.box, detection.variance, *expected)
 
-    def _output(self, stamp_ns: int, predicted: Array, found: FrameDetections) -> NDArray[np.void]:
-        """Rows to publish; `predicted` (5, 4, K) holds the states of the first K tracks."""
-        tracks = self._tracks
-        seen = np.flatnonzero((tracks.track_id > 0) & (tracks.missed == 0))
-        unseen, boxes = self._predicted_boxes(stamp_ns, predicted, found)
-        shown = np.concatenate([seen, unseen])
-        flags = np.where(tracks.cut[shown], FLAG_TRUNCATED, 0)
-        flags[len(seen) :] = FLAG_PREDICTED
-        rows = np.empty(len(shown), PIXEL_TRACK_DTYPE)
-        box = np.concatenate([tracks.box[:, seen], boxes], axis=1)
-        rows["x"], rows["y"], rows["width"], rows["height"] = box
-        rows["score"], rows["class_id"] = tracks.score[shown], tracks.class_id[shown]
-        rows["track_id"], rows["flags"] = tracks.track_id[shown], flags
-        return rows[np.argsort(tracks.track_id[shown])]
+    def _output(
+        self, stamp_ns: int, predicted: Sequence[State], found: Sequence[Detection]
+    ) -> NDArray[np.void]:
+        """Rows to publish; `predicted` holds the states of the first tracks."""
+        rows = []
+        for i, track in enumerate(self._tracks):
+            if not track.track_id:
+                continue
+            box, flags = track.box, FLAG_TRUNCATED if track.cut else 0
+            if track.missed:
+                trusted_s = min(PREDICTED_SHARE * track.observed_s, self._p.predict_s)
+                if track.elapsed_s(stamp_ns) > trusted_s:
+                    continue
+                box, flags = box_of(predicted[i]), FLAG_PREDICTED
+                if not self._is_shown(track, box, found):
+                    continue
+            rows.append((*box, track.score, track.class_id, track.track_id, flags))
+        rows.sort(key=_by_id)
+        return np.array(rows, PIXEL_TRACK_DTYPE)
 
-    def _predicted_boxes(
-        self, stamp_ns: int, predicted: Array, found: FrameDetections
-    ) -> tuple[NDArray[np.intp], Array]:
-        """Unobserved tracks (U,) that may be shown, and the boxes (4, U) to show."""
-        tracks = self._tracks
-        trusted_s = np.minimum(PREDICTED_SHARE * tracks.observed_s(), self._p.predict_s)
-        recent = (tracks.missed > 0) & (tracks.elapsed_s(stamp_ns) <= trusted_s)
-        unseen = np.flatnonzero((tracks.track_id > 0) & recent)
-        box = predicted[MEAN][:, unseen]
-        box[2:] = np.exp(box[2:])
-        behind = hidden(box, found.box)
-        tracks.predicted_frames[behind.astype(np.intp), unseen] += 1.0
-        trusted = self._gate.trusted(behind)
-        return unseen[trusted], box[:, trusted]
+    def _is_shown(self, track: Track, box: Four, found: Sequence[Detection]) -> bool:
+        """Whether a predicted box is; counts the prediction."""
+        behind = is_hidden(box, (detection.box for detection in found))
+        track.predicted_hidden += behind
+        track.predicted_open += not behind
+        return self._gate.trusted(behind)
 
 
-def _settle(partner: NDArray[np.intp], pairs: Pairs, limit: float) -> None:
-    """Write the cheapest assignment of `pairs` into `partner`."""
-    chosen = assign(pairs.track, pairs.detection, pairs.cost, limit)
-    partner[pairs.track[chosen]] = pairs.detection[chosen]
+_Row = tuple[float, float, float, float, float, int, int, int]
+
+
+def _by_id(row: _Row) -> int:
+    return row[6]
 
 
 def outside_image(rows: NDArray[np.void], width: int, height: int) -> tuple[float, float] | None:

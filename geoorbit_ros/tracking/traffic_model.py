@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 import statistics
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from geoorbit_ros.tracking.motion_model import MEAN, RATE, VARIANCE, MotionNoise
-
-Array = NDArray[np.float64]
+from geoorbit_ros.tracking.motion_model import MEAN, RATE, Four, MotionNoise, State
 
 CAPACITY = 2000
 """Samples that are kept, the latest ones: half a minute of dense traffic, minutes of sparse.
@@ -25,24 +23,26 @@ larger learns later, smaller loses such a vehicle."""
 
 
 class Flow:
-    """Samples of the motion of confirmed tracks.
-
-    Arrays are (4, N): x, y in pixels and the logarithms of width and height, as in `motion_model`.
-    """
+    """Samples of the motion of confirmed tracks."""
 
     def __init__(self) -> None:
-        self._place, self._rate = np.empty((2, CAPACITY)), np.empty((4, CAPACITY))
+        # x, y, x^2 + y^2, one: the squared distance from any place is a sum of these.
+        self._places = np.empty((4, CAPACITY))
+        # One, the rates, and their squares: the sums of a mixture are made of these.
+        self._moments = np.empty((9, CAPACITY))
         self._count = 0
 
-    def add(self, state: Array) -> None:
-        """Remember states (5, 4, N)."""
-        state = state[:, :, -CAPACITY:]
-        slot = (self._count + np.arange(state.shape[2])) % CAPACITY
-        self._place[:, slot], self._rate[:, slot] = state[MEAN, :2], state[RATE]
-        self._count += state.shape[2]
+    def add(self, state: State) -> None:
+        """Remember a state."""
+        slot = self._count % CAPACITY
+        x, y = state[0][MEAN], state[1][MEAN]
+        rates = [axis[RATE] for axis in state]
+        self._places[:, slot] = x, y, x * x + y * y, 1.0
+        self._moments[:, slot] = [1.0, *rates, *(rate * rate for rate in rates)]
+        self._count += 1
 
-    def expect(self, box: Array, noise: MotionNoise) -> tuple[Array, Array]:
-        """Mean (4, M) and variance (4, M) of the rates of vehicles first seen in boxes (4, M).
+    def expect(self, box: Four, noise: MotionNoise) -> tuple[Four, Four]:
+        """Mean and variance of the rates of a vehicle first seen in a box x, y, width, height.
 
         They are those of the mixture of the wide prior and the samples nearby, each weighted by its
         distance. Where both directions pass, the mixture is wide again.
@@ -50,15 +50,24 @@ class Flow:
         wide = noise.rate_variance(box)
         held = min(self._count, CAPACITY)
         if not held:
-            return np.zeros_like(box), wide
-        apart = self._place[:, None, :held] - box[:2, :, None]
-        squared = (apart * apart).sum(axis=0) / (REACH**2 * box[2] * box[3])[:, None]
-        weight = np.exp(-0.5 * squared)
-        rate = self._rate[:, :held]
-        total = WIDE_WEIGHT + weight.sum(axis=1)
-        mean = rate @ weight.T / total
-        square = (WIDE_WEIGHT * wide + (rate * rate) @ weight.T) / total
-        return mean, square - mean * mean
+            return (0.0, 0.0, 0.0, 0.0), wide
+        x, y, width, height = box
+        scale = 0.5 / (REACH**2 * width * height)
+        terms = np.array([2.0 * x, 2.0 * y, -1.0, -(x * x + y * y)]) * scale
+        weight = np.exp(terms @ self._places[:, :held])
+        total, *sums = (self._moments[:, :held] @ weight).tolist()
+        total += WIDE_WEIGHT
+        mean = [rate / total for rate in sums[:4]]
+        variance = [
+            (WIDE_WEIGHT * prior + square) / total - rate * rate
+            for prior, square, rate in zip(wide, sums[4:], mean, strict=True)
+        ]
+        return _four(mean), _four(variance)
+
+
+def _four(values: list[float]) -> Four:
+    x, y, width, height = values
+    return x, y, width, height
 
 
 HIDDEN_SHARE = 0.5
@@ -79,38 +88,41 @@ class PredictionGate:
     """Counts of predictions that proved right and wrong, in the open and hidden."""
 
     def __init__(self) -> None:
-        self._right, self._wrong = np.full(2, PRIOR_RIGHT), np.zeros(2)
+        self._right, self._wrong = [PRIOR_RIGHT, PRIOR_RIGHT], [0.0, 0.0]
 
-    def trusted(self, hidden: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """(N,) whether predictions at places that are `hidden` (N,) or not may be shown."""
-        share = self._right / (self._right + self._wrong)
-        return np.asarray((share >= LEAST_SHARE)[hidden.astype(np.intp)])
+    def trusted(self, hidden: bool) -> bool:
+        """Whether predictions at places that are `hidden` or not may be shown."""
+        right, wrong = self._right[hidden], self._wrong[hidden]
+        return right / (right + wrong) >= LEAST_SHARE
 
-    def learn(self, predicted_frames: Array, right: bool) -> None:
+    def learn(self, in_the_open: int, hidden: int, right: bool) -> None:
         """Take predictions that proved right or wrong.
 
         Args:
-            predicted_frames: (2, N) how often tracks were predicted in the open and hidden.
-            right: Whether they came back, or ended.
+            in_the_open: How often a track was predicted in the open.
+            hidden: How often behind another vehicle.
+            right: Whether it came back, or ended.
         """
-        count = predicted_frames.sum(axis=1)
-        fade = np.exp(-count.sum() / MEMORY)
-        self._right, self._wrong = fade * self._right, fade * self._wrong
-        if right:
-            self._right += count
-        else:
-            self._wrong += count
+        if not in_the_open + hidden:
+            return
+        fade = math.exp(-(in_the_open + hidden) / MEMORY)
+        self._right = [fade * count for count in self._right]
+        self._wrong = [fade * count for count in self._wrong]
+        counts = self._right if right else self._wrong
+        counts[False] += in_the_open
+        counts[True] += hidden
 
 
-def hidden(box: Array, detections: Array) -> NDArray[np.bool_]:
-    """(N,) which boxes (4, N) lie behind detections (4, M); x, y, width, height of both."""
-    if not detections.size:
-        return np.zeros(box.shape[1], dtype=bool)
-    half, other = 0.5 * box[2:, :, None], 0.5 * detections[2:, None, :]
-    apart = np.abs(box[:2, :, None] - detections[:2, None, :])
-    shared = np.maximum(np.minimum(half + other - apart, 2.0 * np.minimum(half, other)), 0.0)
-    share = shared.prod(axis=0).max(axis=1) / (box[2] * box[3])
-    return np.asarray(share >= HIDDEN_SHARE)
+def is_hidden(box: Four, found: Iterable[Four]) -> bool:
+    """Whether a box x, y, width, height lies behind one of others."""
+    x, y, width, height = box
+    needed = HIDDEN_SHARE * width * height
+    for other_x, other_y, other_width, other_height in found:
+        shared_x = min(0.5 * (width + other_width) - abs(x - other_x), width, other_width)
+        shared_y = min(0.5 * (height + other_height) - abs(y - other_y), height, other_height)
+        if shared_x > 0.0 and shared_y > 0.0 and shared_x * shared_y >= needed:
+            return True
+    return False
 
 
 SCORE_BINS = 24
@@ -142,10 +154,10 @@ MAX_PRIOR = 2.0
 second has a quarter more short false tracks, with less vehicles are shown later."""
 
 
-def log_odds(score: Array) -> Array:
+def log_odds(score: float) -> float:
     """Log-odds of a probability, within what a detector's rounding can tell."""
-    inside = np.minimum(np.maximum(score, 1e-4), 1.0 - 1e-4)
-    return np.asarray(np.log(inside / (1.0 - inside)))
+    inside = min(max(score, 1e-4), 1.0 - 1e-4)
+    return math.log(inside / (1.0 - inside))
 
 
 class ScoreModel:
@@ -161,71 +173,94 @@ class ScoreModel:
     """
 
     def __init__(self, neutral: float) -> None:
-        middle = (np.arange(SCORE_BINS) + 0.5) / 2.0 - 6.0
-        spread = np.exp(-0.5 * (middle / 2.5) ** 2)
-        lasting = 1.0 / (1.0 + np.exp(log_odds(np.array(neutral)) - middle))
-        self._lasting, self._ended = spread * lasting, spread * (1.0 - lasting)
+        middles = [(k + 0.5) / 2.0 - 6.0 for k in range(SCORE_BINS)]
+        spread = [math.exp(-0.5 * (middle / 2.5) ** 2) for middle in middles]
+        share = [1.0 / (1.0 + math.exp(log_odds(neutral) - middle)) for middle in middles]
+        lasting = [s * share_lasting for s, share_lasting in zip(spread, share, strict=True)]
+        ended = [s * (1.0 - share_lasting) for s, share_lasting in zip(spread, share, strict=True)]
         # What the normalisation takes from the ratio of the counts below.
-        self._offset = float(np.log(self._lasting.sum() / self._ended.sum()))
-        self._lasting *= PRIOR_TRACKS / self._lasting.sum()
-        self._ended *= PRIOR_TRACKS / self._ended.sum()
-        self._observed = self._lasting.copy()
-        self._evidence: Array | None = None
+        self._offset = math.log(sum(lasting) / sum(ended))
+        self._lasting = _Histogram(lasting)
+        self._ended = _Histogram(ended)
+        self._observed = _Histogram(lasting)
+        self._evidence: dict[int, float] = {}
 
     @staticmethod
-    def bin_of(score: Array) -> NDArray[np.int64]:
-        """(N,) bin of each score."""
-        place = ((log_odds(score) + 6.0) * 2.0).astype(np.int64)
-        return np.minimum(np.maximum(place, 0), SCORE_BINS - 1)
+    def bin_of(score: float) -> int:
+        """Bin of a score."""
+        return min(max(int((log_odds(score) + 6.0) * 2.0), 0), SCORE_BINS - 1)
 
-    def evidence(self, bins: NDArray[np.int64]) -> Array:
-        """(N,) log-likelihood ratio of scores (bins): of tracks that last, against others."""
-        if self._evidence is None:
-            self._evidence = _log_ratio(self._lasting, self._ended)
-        return self._evidence[bins]
+    def evidence(self, score_bin: int) -> float:
+        """Log-likelihood ratio of a score (its bin): of tracks that last, against others."""
+        known = self._evidence.get(score_bin)
+        if known is None:
+            known = self._evidence[score_bin] = _log_ratio(self._lasting, self._ended, score_bin)
+        return known
 
-    def doubt(self, bins: NDArray[np.int64]) -> Array:
-        """(N,) cost of scores that false boxes have more often than vehicles followed for long."""
-        ratio = _log_ratio(self._observed, self._ended)[bins]
-        return np.asarray(DOUBT_COST * np.maximum(-ratio, 0.0))
+    def doubt(self, score_bin: int) -> float:
+        """Cost of a score that false boxes have more often than vehicles followed for long."""
+        return DOUBT_COST * max(-_log_ratio(self._observed, self._ended, score_bin), 0.0)
 
-    def observe(self, bins: NDArray[np.int64]) -> None:
-        """Take (N,) bins of the scores of detections that continued tracks that last."""
-        self._observed *= math.exp(-OBSERVATION_WEIGHT * len(bins) / OBSERVATION_MEMORY)
-        self._observed += OBSERVATION_WEIGHT * np.bincount(bins, minlength=SCORE_BINS)
+    def observe(self, score_bins: Sequence[int]) -> None:
+        """Take bins of the scores of detections that continued tracks that last."""
+        if score_bins:
+            self._observed.fade(OBSERVATION_WEIGHT * len(score_bins) / OBSERVATION_MEMORY)
+            for score_bin in score_bins:
+                self._observed.add(score_bin, OBSERVATION_WEIGHT)
 
     @property
     def prior(self) -> float:
         """Log-odds that a new track lasts."""
-        share = math.log(self._lasting.sum() / self._ended.sum())
+        share = math.log(self._lasting.total / self._ended.total)
         return min(PRIOR_WEIGHT * max(share, -2.0), MAX_PRIOR) + self._offset
 
-    def learn(self, bins: NDArray[np.int64], lasted: bool) -> None:
-        """Take K tracks.
+    def learn(self, score_bins: Sequence[int], lasted: bool) -> None:
+        """Take a track.
 
         Args:
-            bins: (`KEPT_SCORES`, K) bins of their first scores, -1 for none.
-            lasted: Whether they lasted, or ended early.
+            score_bins: Bins of its first scores, at most `KEPT_SCORES`.
+            lasted: Whether it lasted, or ended early.
         """
-        self._evidence = None
-        fade = math.exp(-bins.shape[1] / TRACK_MEMORY)
-        self._lasting *= fade
-        self._ended *= fade
-        known = bins >= 0
-        weight = np.broadcast_to(1.0 / np.maximum(known.sum(axis=0), 1), bins.shape)
-        counts = np.bincount(bins[known], weight[known], SCORE_BINS)
-        if lasted:
-            self._lasting += counts
-        else:
-            self._ended += counts
+        self._evidence.clear()
+        self._lasting.fade(1.0 / TRACK_MEMORY)
+        self._ended.fade(1.0 / TRACK_MEMORY)
+        for score_bin in score_bins:
+            (self._lasting if lasted else self._ended).add(score_bin, 1.0 / len(score_bins))
 
 
-def _log_ratio(lasting: Array, ended: Array) -> Array:
-    """(`SCORE_BINS`,) log-likelihood ratio, bounded, of two histograms of scores."""
-    smooth = np.array([0.25, 0.5, 0.25])
-    of_lasting = np.convolve(lasting, smooth, "same") / lasting.sum()
-    ratio = np.log(of_lasting / (np.convolve(ended, smooth, "same") / ended.sum()))
-    return np.asarray(np.minimum(np.maximum(ratio, -MAX_EVIDENCE), MAX_EVIDENCE))
+class _Histogram:
+    """Counts of scores by bin; the older ones fade.
+
+    Args:
+        shape: What it begins with, up to a factor: `PRIOR_TRACKS` altogether.
+    """
+
+    def __init__(self, shape: Sequence[float]) -> None:
+        # A zero at each end: smoothing needs no special case there.
+        self._counts = [0.0, *(PRIOR_TRACKS * value / sum(shape) for value in shape), 0.0]
+        self.total = PRIOR_TRACKS
+
+    def fade(self, share: float) -> None:
+        """Let what was before count exp(-`share`) times as much."""
+        kept = math.exp(-share)
+        self._counts = [kept * count for count in self._counts]
+        self.total *= kept
+
+    def add(self, score_bin: int, weight: float) -> None:
+        """Count one score."""
+        self._counts[score_bin + 1] += weight
+        self.total += weight
+
+    def share(self, score_bin: int) -> float:
+        """Share of the scores about here: a quarter of each neighbouring bin and half of this."""
+        before, here, after = self._counts[score_bin : score_bin + 3]
+        return (0.25 * before + 0.5 * here + 0.25 * after) / self.total
+
+
+def _log_ratio(lasting: _Histogram, ended: _Histogram, score_bin: int) -> float:
+    """Log-likelihood ratio of a score, bounded."""
+    ratio = math.log(lasting.share(score_bin) / ended.share(score_bin))
+    return min(max(ratio, -MAX_EVIDENCE), MAX_EVIDENCE)
 
 
 MEDIAN_SQUARE = 1.386
@@ -252,16 +287,23 @@ class UnsteadyMotion:
         self._still = self.noise = noise
         self._log_factor = 0.0
 
-    def learn(self, predicted: Array, measured: Array, variance: Array) -> None:
-        """Take K pairs of predictions (5, 4, K) and measurements (4, K) with their variances."""
-        count = predicted.shape[2]
+    def learn(self, surprises: Sequence[float]) -> None:
+        """Take a frame: `surprise` of each vehicle observed."""
+        count = len(surprises)
         if not count:
             return
-        error = measured[:2] - predicted[MEAN, :2]
-        square = (error * error / (predicted[VARIANCE, :2] + variance[:2])).sum(axis=0)
-        surprise = math.log(max(statistics.median(square.tolist()), 1e-3) / MEDIAN_SQUARE)
+        surprise = math.log(max(statistics.median(surprises), 1e-3) / MEDIAN_SQUARE)
         share = ADAPTION * min(count, FULL_VEHICLES) / FULL_VEHICLES
         log_factor = self._log_factor + share * min(max(surprise, -2.0), 2.0)
-        self._log_factor = min(max(log_factor, 0.0), 2.0 * math.log(MAX_NOISE))
-        factor = math.exp(0.5 * self._log_factor)
-        self.noise = replace(self._still, acceleration=self._still.acceleration * factor)
+        log_factor = min(max(log_factor, 0.0), 2.0 * math.log(MAX_NOISE))
+        if log_factor != self._log_factor:
+            self._log_factor = log_factor
+            factor = math.exp(0.5 * log_factor)
+            self.noise = replace(self._still, acceleration=self._still.acceleration * factor)
+
+
+def surprise(predicted: State, measured: Four, variance: Four) -> float:
+    """Squared distance in 1-sigma errors of a predicted and a measured middle of a box."""
+    (x, _, x_variance, *_), (y, _, y_variance, *_) = predicted[:2]
+    dx, dy = measured[0] - x, measured[1] - y
+    return dx * dx / (x_variance + variance[0]) + dy * dy / (y_variance + variance[1])

@@ -36,7 +36,7 @@ class Vehicle:
     height_m: float = 1.5
     score: float = 0.9
 
-    def box(self, time_s: float) -> tuple[float, ...]:
+    def box(self, time_s: float) -> tuple[float, float, float, float]:
         """x, y, width, height in pixels."""
         scale = FOCAL_PX / (self.ahead_m + self.speed_mps * time_s)
         middle_m = CAMERA_HEIGHT_M - 0.5 * self.height_m

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import itertools
+from random import Random
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from geoorbit_ros.tracking.association import assign
+from geoorbit_ros.tracking.association import Pair, assign
 
 LIMIT = 10.0
 costs = st.dictionaries(
@@ -26,15 +26,11 @@ def gain_of_best(pairs: dict[tuple[int, int], float]) -> float:
 
 
 @given(costs, st.randoms(use_true_random=False))
-def test_no_other_pairing_is_cheaper(
-    pairs: dict[tuple[int, int], float], random: np.random.Generator
-) -> None:
+def test_no_other_pairing_is_cheaper(pairs: dict[tuple[int, int], float], random: Random) -> None:
     items = list(pairs.items())
     random.shuffle(items)
-    row = np.array([key[0] for key, _ in items], dtype=np.intp)
-    column = np.array([key[1] for key, _ in items], dtype=np.intp)
-    cost = np.array([value for _, value in items])
-    chosen = assign(row, column, cost, LIMIT)
-    assert len(np.unique(row[chosen])) == len(np.unique(column[chosen])) == len(chosen)
-    assert (cost[chosen] < LIMIT).all()
-    assert (LIMIT - cost[chosen]).sum() == pytest.approx(gain_of_best(pairs))
+    chosen = assign([Pair(track, found, cost) for (track, found), cost in items], LIMIT)
+    tracks, detections = ({pair[k] for pair in chosen} for k in (0, 1))
+    assert len(tracks) == len(detections) == len(chosen)
+    assert all(pairs[pair.track, pair.detection] == pair.cost < LIMIT for pair in chosen)
+    assert sum(LIMIT - pair.cost for pair in chosen) == pytest.approx(gain_of_best(pairs))

@@ -7,11 +7,17 @@ import pytest
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.tables import DETECTION_DTYPE, FLAG_PREDICTED
-from geoorbit_ros.tracking.association import complete_cut_boxes
-from geoorbit_ros.tracking.motion_model import MotionNoise, measurements
+from geoorbit_ros.tracking.association import complete_cut_box
+from geoorbit_ros.tracking.motion_model import (
+    MotionNoise,
+    measurement_variance,
+    measurements,
+    start,
+)
 from geoorbit_ros.tracking.parameters import TrackerParameters
+from geoorbit_ros.tracking.track import prepare
 from geoorbit_ros.tracking.tracker import Tracker
-from geoorbit_ros.tracking.traffic_model import ScoreModel, UnsteadyMotion
+from geoorbit_ros.tracking.traffic_model import KEPT_SCORES, ScoreModel, UnsteadyMotion
 
 SIZE = (1200, 400)
 STEP_NS = 100_000_000
@@ -53,15 +59,17 @@ def test_vehicles_that_leave_one_after_the_other_keep_their_own_ids() -> None:
 
 
 def test_a_cut_box_is_completed_from_its_inner_edge() -> None:
-    whole = np.array([[20.0], [250.0], [180.0], [150.0]])
-    seen = np.array([[55.0], [250.0], [110.0], [150.0]])  # its left part is outside the image
-    values, spreads = complete_cut_boxes(
-        measurements(whole), measurements(seen), np.full((4, 1), 10.0), SIZE
-    )
-    assert values[:, 0] == pytest.approx(measurements(whole)[:, 0])
-    assert spreads[0, 0] == pytest.approx((180 / 110) ** 2)
-    assert spreads[1, 0] == pytest.approx(1.0)
-    assert spreads[2, 0] > 100.0, "the width is not measured"
+    whole = (20.0, 250.0, 180.0, 150.0)
+    rows = detections((*whole, 0.9))  # its left part is outside the image
+    (cut,), _ = prepare(rows, parameters(), MotionNoise())
+    assert cut.box == (55.0, 250.0, 110.0, 150.0)
+    predicted = start(whole, (1.0,) * 4, (0.0,) * 4, (1.0,) * 4)
+    values, variances = complete_cut_box(predicted, cut)
+    of_whole = measurement_variance(whole, MotionNoise())
+    assert values == pytest.approx(measurements(whole))
+    assert variances[:2] == pytest.approx(of_whole[:2])
+    assert variances[3] == pytest.approx(of_whole[3])
+    assert variances[2] > 100.0, "the width is not measured"
 
 
 def test_scores_that_only_false_boxes_have_stop_confirming_tracks() -> None:
@@ -98,14 +106,14 @@ def test_a_box_continues_a_vehicle_only_with_a_score_that_vehicles_have_here(
 
 def test_a_score_says_nothing_before_anything_was_learnt_at_the_neutral_one() -> None:
     model = ScoreModel(0.42)
-    scores = model.bin_of(np.array([0.1, 0.42, 0.9]))
-    evidence = model.evidence(scores) + model.prior
-    assert evidence[0] < -1.0
-    assert abs(evidence[1]) < 0.5
-    assert evidence[2] > 1.5
-    bins = np.full((3, 20), int(model.bin_of(np.array(0.9))))
-    model.learn(bins, lasted=False)
-    assert model.evidence(scores)[2] < evidence[2] - 1.0
+    low, neutral, high = (model.bin_of(score) for score in (0.1, 0.42, 0.9))
+    assert model.evidence(low) + model.prior < -1.0
+    assert abs(model.evidence(neutral) + model.prior) < 0.5
+    before = model.evidence(high)
+    assert before + model.prior > 1.5
+    for _ in range(20):
+        model.learn([high] * KEPT_SCORES, lasted=False)
+    assert model.evidence(high) < before - 1.0
 
 
 @pytest.mark.parametrize("shake_px", [0.0, 5.0])
@@ -124,11 +132,9 @@ def test_ids_last_though_the_camera_shakes(shake_px: float) -> None:
 def test_noise_grows_with_errors_and_falls_back_to_that_of_a_still_camera() -> None:
     motion = UnsteadyMotion(MotionNoise())
     still = motion.noise.acceleration
-    predicted = np.zeros((5, 4, 6))
-    predicted[2] = 1.0
     for _ in range(40):
-        motion.learn(predicted, np.full((4, 6), 9.0), np.ones((4, 6)))
+        motion.learn([80.0] * 6)
     assert motion.noise.acceleration > 3.0 * still
     for _ in range(200):
-        motion.learn(predicted, np.full((4, 6), 0.1), np.ones((4, 6)))
+        motion.learn([0.01] * 6)
     assert motion.noise.acceleration == pytest.approx(still)
