@@ -102,12 +102,26 @@ def not_here(command: str) -> bool:
     return any(re.match(pattern, command) for pattern in NOT_HERE)
 
 
+_given: dict[str, Path] = {}
+
+
+def give(command: str) -> None:
+    """Run a command in the current folder, or copy what it wrote for another page."""
+    out = Path(re.findall(r"--out (\S+)", command)[0])
+    if command in _given:
+        shutil.copytree(_given[command], out)
+        return
+    assert main(shlex.split(command)) == 0, command
+    if out.is_dir():
+        _given[command] = out.resolve()
+
+
 def prepare(page: str) -> None:
     """What the reader of the page has, in the current folder."""
     shutil.copytree(REPOSITORY / "params", "params")
     Path("params/studies/small.yaml").write_text(STUDY, encoding="utf-8")
     for command in GIVEN.get(page, []):
-        assert main(shlex.split(command)) == 0, command
+        give(command)
     for name, source in NAMED.items():
         if Path(source).exists():
             Path(name).symlink_to(source)
