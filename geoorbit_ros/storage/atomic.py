@@ -64,9 +64,11 @@ def atomic_output(path: str | Path, *, overwrite: bool = False) -> Iterator[Path
                 _put(entry, target / entry.name, scratch)
         else:
             _put(temporary, target, scratch)
-    except BaseException:
+    except BaseException as error:
         shutil.rmtree(scratch, ignore_errors=True)
         _remove_empty(made)
+        if isinstance(error, OSError):
+            _name_target(error, temporary, target)
         raise
     shutil.rmtree(scratch, ignore_errors=True)
 
@@ -85,6 +87,19 @@ def _written_through(target: Path) -> Iterator[Path]:
         except OSError as error:
             found = error.strerror or str(error)
             raise InputFileError(str(target), found, "a place that can be written to") from None
+
+
+def _name_target(error: OSError, temporary: Path, target: Path) -> None:
+    """Let an error of the system name what the user asked for, not the temporary path.
+
+    A full disk is met while an open file is written: such an error names no file at all.
+    """
+    if error.errno is None:
+        return
+    if error.filename is None:
+        error.filename = str(target)
+    elif isinstance(error.filename, str) and Path(error.filename).is_relative_to(temporary):
+        error.filename = str(target / Path(error.filename).relative_to(temporary))
 
 
 def _sync(path: Path) -> None:

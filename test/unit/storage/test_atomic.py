@@ -1,11 +1,12 @@
 from __future__ import annotations
 
+import errno
 import os
 from pathlib import Path
 
 import pytest
 
-from geoorbit_ros.core.errors import InputFileError
+from geoorbit_ros.core.errors import InputFileError, disk_fault
 from geoorbit_ros.storage.atomic import atomic_output
 
 
@@ -19,11 +20,31 @@ def write_half(path: Path, *, folder: bool = False, overwrite: bool = False) -> 
         raise RuntimeError
 
 
+def meet_a_full_disk(path: Path, named: str | None) -> None:
+    with atomic_output(path) as temporary:
+        where = [] if named is None else [str(temporary / named)]
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), *where)
+
+
 @pytest.mark.parametrize("folder", [False, True])
 def test_failure_leaves_no_trace(tmp_path: Path, folder: bool) -> None:
     with pytest.raises(RuntimeError):
         write_half(tmp_path / "made" / "deep" / "out", folder=folder)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("named", "inside"), [(None, ""), ("", ""), ("road.png", "/road.png"), ("/elsewhere", None)]
+)
+def test_a_fault_of_the_disk_names_the_file_that_was_asked_for(
+    tmp_path: Path, named: str | None, inside: str | None
+) -> None:
+    with pytest.raises(OSError, match="No space left") as raised:
+        meet_a_full_disk(tmp_path / "out", named)
+    expected = "/elsewhere" if inside is None else f"{tmp_path}/out{inside}"
+    fault = disk_fault(raised.value)
+    assert fault is not None
+    assert str(fault).startswith(f"{expected}: found No space left")
 
 
 def test_failure_keeps_what_was_there(tmp_path: Path) -> None:
