@@ -26,11 +26,10 @@ from scipy.optimize import linear_sum_assignment
 from geoorbit_ros.core.tables import DETECTION_DTYPE, PIXEL_TRACK_DTYPE, Frames
 from scores.detection_score import box_corners
 from scores.tracking_score import score_tracks
-from trackers import PYTHON, Case, observed, peers, stacked, track
+from trackers import EVERY_PEER, PYTHON, Case, observed, peers, stacked, track
 
 FPS = 10
 SIZE = (1242, 375)
-PEERS = ("SORT", "ByteTrack", "OC-SORT", "BoT-SORT")
 MIN_HEIGHT_PX = 25.0
 """Lower boxes are not counted where they match no label (KITTI's own evaluation)."""
 MATCH = 0.5
@@ -146,7 +145,7 @@ def main() -> None:
     if not os.environ.get(PYTHON):
         print(json.dumps({"name": "peers", "skipped": f"{PYTHON} isn't set"}), file=sys.stderr)
         return
-    for name in PEERS:
+    for name in EVERY_PEER:
         summary(name, sequences, peers([s.case for s in sequences], name, {}))
 
 

@@ -9,6 +9,7 @@ The peers live in an environment of their own (benchmarks/peers/trackers.txt), w
 GEOORBIT_TRACKERS_PYTHON names; without it they are skipped.
 
     .venv/bin/python benchmarks/trackers.py --markdown FILE      # the table of docs/results.md
+    .venv/bin/python benchmarks/trackers.py --means FILE         # all peers as they come
     .venv/bin/python benchmarks/trackers.py --seed 5             # other traffic in the same scenes
 """
 
@@ -83,6 +84,9 @@ TUNED: dict[str, dict[str, float]] = {
         "delta_t": 1,
     },
 }
+
+
+EVERY_PEER = ("SORT", "ByteTrack", "OC-SORT", "BoT-SORT")
 
 
 @dataclass
@@ -303,14 +307,50 @@ def write_table(chosen: list[Case], columns: list[str], path: Path) -> None:
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
+def write_means(chosen: list[Case], path: Path) -> None:
+    """HOTA, IDF1, id switches and frames per second of simulated and of rendered recordings.
+
+    All trackers have their default options.
+    """
+    own = [track(case) for case in chosen]
+    results = {
+        "geoorbit, observed boxes only": [(observed(frames), s) for frames, s in own],
+        "geoorbit": own,
+    }
+    if os.environ.get(PYTHON):
+        results |= {name: peers(chosen, name, {}) for name in EVERY_PEER}
+    lines = [
+        "| recordings | tracker | HOTA | IDF1 | id switches | per 1000 boxes | frames per second |",
+        "|---|---|--:|--:|--:|--:|--:|",
+    ]
+    for kind in ("simulated", "rendered"):
+        which = [k for k, c in enumerate(chosen) if (c.group[:8] == "rendered") == (kind[0] == "r")]
+        count = sum(len(chosen[k].frames) for k in which)
+        for name, found in results.items():
+            scores = [score_tracks(chosen[k].truth, tall(found[k][0])) for k in which]
+            hota, idf1 = (
+                100.0 * np.mean([getattr(s, n) for s in scores]) for n in ("hota", "idf1")
+            )
+            switches = sum(s.id_switches for s in scores)
+            rate = count / sum(found[k][1] for k in which)
+            share = 1000.0 * switches / sum(s.true_boxes - s.misses for s in scores)
+            numbers = f"{hota:.1f} | {idf1:.1f} | {switches} | {share:.2f} | {rate:.0f}"
+            lines.append(f"| {kind} | {name} | {numbers} |")
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--markdown", type=Path, metavar="FILE", help="write the table")
+    parser.add_argument("--means", type=Path, metavar="FILE", help="write means only, of all peers")
     parser.add_argument("--seed", type=int, default=SEED, help="of the traffic")
     options_given = parser.parse_args()
     markdown: Path | None = options_given.markdown
     chosen = list(cases(options_given.seed))
+    if options_given.means:
+        write_means(chosen, options_given.means)
+        return
     columns = ["geoorbit", "geoorbit, observed boxes only"]
     for case in chosen:
         tracks, _ = track(case)

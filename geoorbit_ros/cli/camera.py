@@ -83,7 +83,7 @@ def add(
         entry = _entry(job, source, password_file, model, fleet)
         add_camera(fleet, entry, replace=replace)
     print_remarks(images.remarks)
-    print_lanes(job.lane_map, f"Lanes of {camera_id} after {duration:g} s")
+    print_lanes(job.lane_map, f"Lanes of {camera_id}")
     print_remarks(*job.reports)
     say(f"Look at {out / CALIBRATION_IMAGE} and {out / REPORT}.")
     run_it = as_typed(f"up {fleet}")

@@ -44,7 +44,7 @@ def summary_sentence(lanes: Sequence[Lane]) -> str:
 
 def missing_sentence(lane: Lane) -> str:
     """What a tentative lane still needs."""
-    seen = f"Lane {lane.lane_id} is tentative after {count(round(lane.vehicles), 'vehicle')}"
+    seen = f"Lane {lane.lane_id} is tentative after {count(int(lane.vehicles), 'vehicle')}"
     if lane.vehicles_missing <= 0:
         return f"{seen}: the traffic does not show clearly that it is one lane."
     more = count(lane.vehicles_missing, "more vehicle")

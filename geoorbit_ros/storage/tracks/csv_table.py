@@ -38,9 +38,15 @@ _DIGITS = {"s": 9, "ms": 6, "us": 3, "ns": 0}
 _WORDS = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
 _SINCE_1970 = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"))
 """A time of this size or more, since 1970: in seconds each would be later than the year 5000."""
-_STEP_MS = (5.0, 2000.0)
-"""Steps between images that are milliseconds when all times are whole: 200 to 0.5 per second.
-As seconds they would be one image in five seconds or fewer, which shows no traffic."""
+_STEP_S = (0.005, 2.0)
+"""Usual steps between images: 200 to 0.5 per second. Numbers whose steps are such in milliseconds
+(5 to 2000) or less would as seconds be one image in five seconds or fewer: that shows no
+traffic."""
+_NAMED_UNIT = re.compile(
+    r"(?:_|/|\[|\(|\s)(?:(ms|msecs?|millis|milliseconds?)|(us|µs|μs|micros|microseconds?)"
+    r"|(ns|nanos|nanoseconds?)|(s|secs?|seconds?))[\])]?$"
+)
+"""The unit at the end of a column's name: `time_ms`, `Time [ms]`, `t (milliseconds)`."""
 
 
 def parse_times(text: pa.Array, name: str, report: InputReport) -> NDArray[np.int64]:
@@ -59,8 +65,9 @@ def parse_times(text: pa.Array, name: str, report: InputReport) -> NDArray[np.in
     finite = np.isfinite(numbers)
     if not finite.any():
         return np.full(len(numbers), UNKNOWN_NS)
-    unit = _unit(name, numbers[finite])
-    if unit != "s" and not name.lower().endswith(f"_{unit}"):
+    named = _named_unit(name)
+    unit = named or _unit_by_size(numbers[finite])
+    if unit != "s" and not named:
         report.note(Treatment.REPAIRED, f"column '{name}' is in {_WORDS[unit]}, by its size")
     seconds = numbers * _UNITS[unit]
     stamps = _exact(text, unit, seconds)
@@ -72,18 +79,22 @@ def parse_times(text: pa.Array, name: str, report: InputReport) -> NDArray[np.in
     return np.where(good, stamps, UNKNOWN_NS)
 
 
-def _unit(name: str, numbers: NDArray[np.float64]) -> str:
-    ending = name.lower().rpartition("_")[2]
-    if ending in _UNITS and "_" in name:
-        return ending
+def _named_unit(name: str) -> str | None:
+    found = _NAMED_UNIT.search(name.strip().lower())
+    return ("ms", "us", "ns", "s")[(found.lastindex or 0) - 1] if found else None
+
+
+def _unit_by_size(numbers: NDArray[np.float64]) -> str:
     usual = float(np.median(numbers))
     for least, unit in _SINCE_1970:
         if usual >= least:
             return unit
-    whole = bool(np.all(numbers == np.rint(numbers)))
     steps = np.diff(np.unique(numbers))
-    if whole and len(steps) and _STEP_MS[0] <= float(np.median(steps)) <= _STEP_MS[1]:
-        return "ms"
+    if len(steps):
+        step = float(np.median(steps))
+        for unit in ("ms", "us", "ns"):
+            if _STEP_S[0] <= step * _UNITS[unit] <= _STEP_S[1]:
+                return unit
     return "s"
 
 
@@ -208,15 +219,17 @@ class CsvTable:
         if "time" in roles:
             name = roles["time"]
             text: pa.Array = table.columns[table.names.index(name)]
-            raw.stamp_ns = parse_times(text, name, table.report)
+            # `--columns time_ms=t` names the unit, too.
+            said = next((m for m, column in columns.items() if column == name), name)
+            raw.stamp_ns = parse_times(text, said if said != "time" else name, table.report)
         return raw
 
 
 def _roles(table: CsvText, columns: dict[str, str], place: str) -> dict[str, str]:
     """Which column has which meaning."""
-    for meaning, name in columns.items():
-        if meaning not in NAMES:
-            raise ParameterError("option --columns", repr(meaning), f"one of {', '.join(NAMES)}")
+    named: dict[str, str] = {}
+    for word, name in columns.items():
+        named[_meaning(word)] = name
         if name not in table.names:
             raise InputFileError(
                 place, f"no column '{name}' in '{_shortened(table.names)}'", "that of --columns"
@@ -229,24 +242,40 @@ def _roles(table: CsvText, columns: dict[str, str], place: str) -> dict[str, str
         if name in plain
     }
     # A column that the user named has no other meaning: `left=x` says that x is not the middle.
-    return {m: name for m, name in found.items() if name not in columns.values()} | columns
+    return {m: name for m, name in found.items() if name not in named.values()} | named
+
+
+def _meaning(word: str) -> str:
+    """Of a column, by any of its usual names.
+
+    Raises:
+        ParameterError: No column has such a meaning.
+    """
+    plain = _plain(word)
+    for meaning, names in NAMES.items():
+        if plain == meaning or plain in names:
+            return meaning
+    raise ParameterError("option --columns", repr(word), f"one of {', '.join(NAMES)}")
 
 
 def _shape(roles: dict[str, str], table: CsvText, place: str) -> tuple[str, ...]:
     """Which columns say where the boxes are."""
+    shapes = (_CENTRE, _CORNERS, _CORNER, _EDGES, _POINT)
+    shape = next((shape for shape in shapes if all(role in roles for role in shape)), None)
+    missing, named = [], []
     if "frame" not in roles and "time" not in roles:
-        found = f"no column that says when, in '{_shortened(table.names)}'"
-        expected = "a column time or frame_num, or --columns frame=NAME"
-        raise InputFileError(place, found, expected)
+        missing.append("that says when")
+        named.append("time=NAME or frame=NAME")
     if "id" not in roles:
-        found = f"no column with the tracks' ids, in '{_shortened(table.names)}'"
-        raise InputFileError(place, found, "a column id, or --columns id=NAME")
-    for shape in (_CENTRE, _CORNERS, _CORNER, _EDGES, _POINT):
-        if all(role in roles for role in shape):
-            return shape
-    found = f"no columns with boxes in '{_shortened(table.names)}'"
-    expected = "x,y,w,h (middle and size), x1,y1,x2,y2 or left,top,width,height; else --columns"
-    raise InputFileError(place, found, expected)
+        missing.append("with the tracks' ids")
+        named.append("id=NAME")
+    if shape is None:
+        missing.append("with boxes (x,y,w,h: middle and size; x1,y1,x2,y2; left,top,width,height)")
+        named.append("x=NAME, y=NAME and so on")
+    if missing or shape is None:
+        found = f"no column {', none '.join(missing)}, in '{_shortened(table.names)}'"
+        raise InputFileError(place, found, f"such columns, or --columns {', '.join(named)}")
+    return shape
 
 
 def _centre(box: dict[str, Array]) -> tuple[Array, Array, Array, Array]:

@@ -145,6 +145,13 @@ def test_any_spelling_of_the_same_rows_gives_the_same_boxes(
 START = datetime(2024, 5, 1, 8, 0, tzinfo=UTC)
 TIMES: dict[str, tuple[Callable[[float], object], float, str]] = {
     "milliseconds": (lambda t: round(1000 * t), 0.0, "in milliseconds"),
+    "milliseconds with decimals": (
+        lambda t: f"{1000 * t + 33.366809:.6f}",
+        0.033366809,
+        "in milliseconds",
+    ),
+    "microseconds": (lambda t: f"{1e6 * t:.1f}", 0.0, "in microseconds"),
+    "nanoseconds": (lambda t: round(1e9 * t), 0.0, "in nanoseconds"),
     "milliseconds since 1970": (lambda t: round(1000 * (1.7e9 + t)), 1.7e9, "in milliseconds"),
     "microseconds since 1970": (lambda t: round(1e6 * (1.7e9 + t)), 1.7e9, "in microseconds"),
     "nanoseconds since 1970": (lambda t: round(1e9 * t) + 17 * 10**17, 1.7e9, "in nanoseconds"),
@@ -173,6 +180,48 @@ def test_times_in_any_unit_are_the_same_times(
     assert frames.stamp_ns - round(start_s * 1e9) == pytest.approx(clean.stamp_ns, abs=1)
     assert remark in said(report)
     assert bool(remark) == bool(said(report))
+
+
+@pytest.mark.parametrize(
+    ("name", "per_second"),
+    [
+        *(("time [ms]", 1e3), ("Time (milliseconds)", 1e3), ("t/ms", 1e3), ("time_us", 1e6)),
+        *(("timestamp [ns]", 1e9), ("time (s)", 1.0), ("Time [seconds]", 1.0)),
+    ],
+)
+def test_the_unit_in_a_columns_name_is_read_also_where_the_size_says_another(
+    tmp_path: Path, clean: Frames, name: str, per_second: float
+) -> None:
+    """A hundred times slower, so that the size of the steps says another unit."""
+    header = HEADER.replace("time", name).replace(",frame_num", "")
+    slow = each(
+        lambda d: [
+            v * 100 * per_second if k == "time" else v for k, v in d.items() if k != "frame_num"
+        ],
+        header,
+    )
+    columns = {"time": name} if name == "t/ms" else {}
+    frames, report = read(tmp_path, slow, columns=columns)
+    assert frames.stamp_ns == pytest.approx(100 * clean.stamp_ns, abs=1)
+    assert "by its size" not in said(report)
+
+
+def test_columns_can_be_named_by_any_of_their_usual_names(tmp_path: Path, clean: Frames) -> None:
+    content = each(
+        lambda d: [1000 * v if k == "time" else v for k, v in d.items()],
+        HEADER.replace("time", "when").replace("frame_num", "image"),
+    )
+    columns = {"time_ms": "when", "frame_num": "image"}
+    frames, report = read(tmp_path, content, columns=columns)
+    assert_same(frames, clean)
+    assert said(report) == ""
+
+
+def test_all_columns_that_are_missing_are_told_at_once(tmp_path: Path) -> None:
+    with pytest.raises(InputFileError) as raised:
+        read(tmp_path, csv(made_rows(), "a,b,c,d,e,f,g,h,i"))
+    for words in ("says when", "ids", "boxes", "time=NAME or frame=NAME", "id=NAME", "x=NAME"):
+        assert words in str(raised.value)
 
 
 def test_times_since_1970_are_exact_to_the_nanosecond(tmp_path: Path) -> None:
@@ -431,7 +480,7 @@ REFUSED: dict[str, tuple[str | bytes, str]] = {
     "a letter": ("Dear all,\nthe camera is broken.\n", "expected tracked boxes"),
     "no ids": ("time,x,y,w,h\n0,1,2,3,4\n", "no column with the tracks' ids"),
     "no times": ("id,x,y,w,h\n0,1,2,3,4\n", "no column that says when"),
-    "no boxes": ("id,time\n0,1\n", "no columns with boxes"),
+    "no boxes": ("id,time\n0,1\n", "no column with boxes"),
     "frames without a rate": (
         "id,frame,x,y,w,h\n1,1,50,50,20,20\n",
         "--fps: how many images per second",
