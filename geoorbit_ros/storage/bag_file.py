@@ -171,7 +171,11 @@ def recognise(path: Path) -> bytes:
     if not head.strip(b"\0"):
         raise InputFileError(str(path), "a file that begins with zeros, no bag's", EXPECTED)
     if b"\0" not in head:
-        raise InputFileError(str(path), "a text file", f"{EXPECTED}; track files go to --tracks, or `bag from-csv` makes a bag of them")
+        raise InputFileError(
+            str(path),
+            "a text file",
+            f"{EXPECTED}; track files go to --tracks, or `bag from-csv` makes a bag of them",
+        )
     raise InputFileError(str(path), "a file that is neither MCAP nor SQLite", EXPECTED)
 
 
