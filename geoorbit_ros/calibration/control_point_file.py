@@ -79,6 +79,8 @@ _ANGLE = re.compile(
     r"((?P<m>\d+(\.\d+)?) *['′m] *)?((?P<s>\d+(\.\d+)?) *([\"″s]|'') *)?(?P<after>[NSEW]?)"
 )
 """Degrees, minutes and seconds as maps show them: 43°02'38.5"N."""
+_BLANKS = re.compile(r"([NSEW]? *[+-]?)(\d+) +(\d+(?:\.\d+)?)(?: +(\d+(?:\.\d+)?))? *([NSEW]?)")
+"""The same with blanks alone: 43 02 38.5."""
 
 
 @dataclass(slots=True)
@@ -249,7 +251,11 @@ def _number(text: str) -> float:
 def _angle(text: str) -> float:
     """Degrees, with minutes and seconds or without; NaN for what is none."""
     number = _number(text)
-    found = _ANGLE.fullmatch(text.replace(",", ".").strip().upper().replace("M", "m"))
+    plain = text.replace(",", ".").strip().upper().replace("M", "m")
+    if blanks := _BLANKS.fullmatch(plain):
+        start, degrees, minutes, seconds, end = blanks.groups()
+        plain = f"{start}{degrees}°{minutes}'" + (f'{seconds}"' if seconds else "") + end
+    found = _ANGLE.fullmatch(plain)
     if np.isfinite(number) or found is None:
         return number
     parts = [float(found[name] or 0.0) for name in ("d", "m", "s")]

@@ -58,6 +58,8 @@ def up(
 
     Example: [bold]geoorbit up demo[/bold]
     """
+    from rich.markup import escape
+
     from geoorbit_ros.cli.console import print_remarks, say
     from geoorbit_ros.storage.ownership import Ownership
 
@@ -67,7 +69,7 @@ def up(
     except GeoOrbitError as error:
         for sentence in report.sentences():
             if sentence not in str(error):
-                say(sentence)
+                say(escape(sentence))
         raise
     if dry_run:
         _print_plan(content, plans, folder)
@@ -133,7 +135,7 @@ def _warn_of_readers(fleet: Fleet, base: Path) -> None:
         file = base / camera.password_file
         if file.stat().st_mode & OTHERS:
             text = f"{camera.id}: other users can read {file}; chmod 600 ends that"
-            error_console.print(text, soft_wrap=True)
+            error_console.print(text, soft_wrap=True, markup=False)
 
 
 def _check_plugins(file: Path, plans: Sequence[ProcessPlan]) -> None:
@@ -174,6 +176,8 @@ def _watch(
     name: str, fleet: Fleet, plans: Sequence[ProcessPlan], folder: Path, duration_s: float | None
 ) -> None:
     """Keep the processes running until Ctrl-C, or for `duration_s`."""
+    from rich.markup import escape
+
     from geoorbit_ros.cli.console import as_typed, console, count_of
     from geoorbit_ros.cli.signals import told_to_end
     from geoorbit_ros.fleet.supervisor import Supervisor
@@ -182,7 +186,7 @@ def _watch(
 
     def say(process: str, text: str) -> None:
         console.print(
-            f"[dim]{time.monotonic() - began:7.1f} s[/dim]  [bold]{process}[/bold]  {text}"
+            f"[dim]{time.monotonic() - began:7.1f} s[/dim]  [bold]{process}[/bold]  {escape(text)}"
         )
 
     environment = {}

@@ -23,7 +23,8 @@ SCHEMES = (
 _ADDRESS = re.compile(r"\s*([A-Za-z][A-Za-z0-9+.\-]*):/{1,2}(.*)", re.DOTALL)
 _LOOSE = re.compile(r"[^\s/]*:[^\s]*@")
 """User and password before a host, where the scheme is missing."""
-_IN_TEXT = re.compile(r"[A-Za-z][A-Za-z0-9+.\-]*://\S+")
+_IN_TEXT = re.compile(r"[A-Za-z][A-Za-z0-9+.\-]+:/{1,2}\S+")
+"""With one slash, too: that is what a path made of an address has."""
 _HOST = re.compile(r"(\[[0-9A-Fa-f:.%]+\]|localhost|[\w\-]+(\.[\w\-]+)+\.?)(:\d{1,5})?")
 """A host that is plainly one, and a port."""
 _PLAIN_HOST = re.compile(r"(\[[0-9A-Fa-f:.%]+\]|[\w.\-~%!$&'()*+,;=]*)(:\d{0,5})?")
@@ -36,6 +37,10 @@ _SHOWN = (
 """What may be read after `?`: what tells one stream of a recorder from the other."""
 _SHOWN_KEYS = frozenset(_SHOWN.split())
 _SECRET_KEY = r"(?:pass(?:word|wd)?|pwd|psw|token|key|secret|auth|sig(?:nature)?)"
+_ITEM_IN_TEXT = re.compile(
+    r"(?i)\b((?:[\w\-]*[_\-])?(?:pass(?:word|wd|phrase)?|pwd|psw|pw|token|secret)=)([^\s&;]+)"
+)
+"""As in the GStreamer pipeline `rtspsrc location=… user-pw=…`."""
 _IN_PATH = re.compile(rf"(?i)({_SECRET_KEY}=)(.*?)(?=_channel=|_stream=|[&/;?]|$)")
 """As in `rtsp://camera/user=admin_password=…_channel=1_stream=0.sdp`."""
 
@@ -63,8 +68,9 @@ def masked(address: str) -> str:
 
 
 def masked_text(text: str) -> str:
-    """A text in which every address is masked."""
-    return _IN_TEXT.sub(lambda found: masked(found[0]), text)
+    """A text in which every address and every `password=…` is masked."""
+    without = _IN_TEXT.sub(lambda found: masked(found[0]), text)
+    return _ITEM_IN_TEXT.sub(rf"\1{MASK}", without)
 
 
 def _parted(rest: str) -> tuple[str, str]:

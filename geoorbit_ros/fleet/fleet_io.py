@@ -9,6 +9,7 @@ from pathlib import Path
 
 import yaml
 
+from geoorbit_ros.core.addresses import masked_text
 from geoorbit_ros.core.errors import InputFileError, ParameterError
 from geoorbit_ros.core.input_report import InputReport, Treatment
 from geoorbit_ros.core.resources import file_or_shipped
@@ -61,7 +62,8 @@ def _usable(text: YamlText, report: InputReport) -> Fleet:
     name = str(content.get("name") or "")
     if not re.match(IDENTIFIER, name):
         content["name"] = fleet_name(Path(name) if name else place)
-        report.note(Treatment.REPAIRED, f"the fleet's name '{name}' becomes '{content['name']}'")
+        shown = f"the fleet's name '{masked_text(name)}' becomes '{content['name']}'"
+        report.note(Treatment.REPAIRED, shown)
     entries = content.get("cameras")
     if isinstance(entries, dict) and "source" in entries:
         entries = [entries]

@@ -91,6 +91,8 @@ def parse_collection(text: str, path: Path) -> Collection:
     except json.JSONDecodeError as error:
         where = f"{path}, line {error.lineno}"
         raise InputFileError(where, error.msg, "a GeoJSON file") from error
+    except RecursionError as error:
+        raise InputFileError(str(path), "lists in lists without end", "a GeoJSON file") from error
     if isinstance(data, dict) and data.get("type") == "Feature":
         data = {"type": "FeatureCollection", "features": [data]}
     if not isinstance(data, dict) or data.get("type") != "FeatureCollection":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import sys
 from pathlib import Path
 from typing import Any, TypeGuard, get_args
 
@@ -172,4 +172,7 @@ def _joined(parts: list[Any]) -> list[Any] | None:
 
 def is_number(value: object) -> TypeGuard[float]:
     """Whether a value of JSON is a finite number."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    # A whole number of hundreds of digits is no float: it can be compared with one all the same.
+    return -sys.float_info.max <= value <= sys.float_info.max

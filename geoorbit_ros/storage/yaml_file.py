@@ -91,12 +91,26 @@ class _Loader(yaml.SafeLoader):
         """A mapping whose keys differ."""
         lines: dict[object, int] = {}
         for key, _ in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                problem = "a list or keys as a key"
+                raise yaml.MarkedYAMLError(problem=problem, problem_mark=key.start_mark)
             line = key.start_mark.line + 1
             if key.value in lines and key.tag != "tag:yaml.org,2002:merge":
                 problem = f"key '{key.value}' a second time, first in line {lines[key.value]}"
                 raise yaml.MarkedYAMLError(problem=problem, problem_mark=key.start_mark)
             lines[key.value] = line
         return super().construct_mapping(node, deep)
+
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        """A value; one that is not what its tag says is a fault of the file, as any other."""
+        try:
+            return super().construct_object(node, deep)
+        except (ValueError, KeyError, AttributeError, OverflowError) as error:
+            shown = str(node.value) if isinstance(node, yaml.ScalarNode) else "a value"
+            shown = shown if len(shown) <= 60 else f"{shown[:60]}..."
+            problem = f"'{shown}' is no {node.tag.rpartition(':')[2]}"
+            mark = node.start_mark
+            raise yaml.MarkedYAMLError(problem=problem, problem_mark=mark) from error
 
 
 def _whole(loader: yaml.SafeLoader, node: yaml.ScalarNode) -> int:
@@ -242,7 +256,10 @@ def read_text(file: Path, kind: str, report: InputReport | None = None) -> YamlT
 
 
 def _load(text: str) -> object:
-    return yaml.load(text, Loader=_Loader)
+    try:
+        return yaml.load(text, Loader=_Loader)
+    except RecursionError as error:
+        raise yaml.MarkedYAMLError(problem="lists in lists without end") from error
 
 
 def _without_tabs(text: str) -> str | None:

@@ -61,12 +61,24 @@ class BoxList:
         )
 
 
+MAX_SIDE_PX = 1e5
+"""No image is larger: the largest cameras have 1e4 pixels in a row."""
+
+
 def as_number(value: object) -> float:
     """A number, or NaN for what is none."""
     try:
         return float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return float("nan")
+
+
+def as_size(width: object, height: object) -> tuple[int, int] | None:
+    """Width and height of an image in pixels; None where they can't be those of one."""
+    sides = as_number(width), as_number(height)
+    if not all(0.0 < side <= MAX_SIDE_PX for side in sides):
+        return None
+    return int(sides[0]), int(sides[1])
 
 
 def parse_xml(path: Path, expected: str) -> Xml.Element:

@@ -42,6 +42,8 @@ _STEP_S = (0.005, 2.0)
 """Usual steps between images: 200 to 0.5 per second. Numbers whose steps are such in milliseconds
 (5 to 2000) or less would as seconds be one image in five seconds or fewer: that shows no
 traffic."""
+_FEWEST_STEPS = 10
+"""Fewer say nothing of the unit. Chosen: a recording of lanes has hundreds."""
 _NAMED_UNIT = re.compile(
     r"(?:_|/|\[|\(|\s)(?:(ms|msecs?|millis|milliseconds?)|(us|µs|μs|micros|microseconds?)"
     r"|(ns|nanos|nanoseconds?)|(s|secs?|seconds?))[\])]?$"
@@ -90,7 +92,7 @@ def _unit_by_size(numbers: NDArray[np.float64]) -> str:
         if usual >= least:
             return unit
     steps = np.diff(np.unique(numbers))
-    if len(steps):
+    if len(steps) >= _FEWEST_STEPS:
         step = float(np.median(steps))
         for unit in ("ms", "us", "ns"):
             if _STEP_S[0] <= step * _UNITS[unit] <= _STEP_S[1]:
@@ -160,6 +162,7 @@ NAMES: dict[str, tuple[str, ...]] = {
 """Names of columns by what they mean, the first that a file has counts; case and blanks don't."""
 _CENTRE, _CORNERS = ("x", "y", "w", "h"), ("x1", "y1", "x2", "y2")
 _CORNER, _EDGES = ("left", "top", "w", "h"), ("left", "top", "x2", "y2")
+_FIRST_CORNER = ("x1", "y1", "w", "h")
 _POINT = ("x", "y")
 
 
@@ -260,7 +263,8 @@ def _meaning(word: str) -> str:
 
 def _shape(roles: dict[str, str], table: CsvText, place: str) -> tuple[str, ...]:
     """Which columns say where the boxes are."""
-    shapes = (_CENTRE, _CORNERS, _CORNER, _EDGES, _POINT)
+    # The corner first: MOTChallenge's x, y beside left, top are places in the world.
+    shapes = (_CORNER, _CENTRE, _CORNERS, _EDGES, _FIRST_CORNER, _POINT)
     shape = next((shape for shape in shapes if all(role in roles for role in shape)), None)
     missing, named = [], []
     if "frame" not in roles and "time" not in roles:

@@ -11,7 +11,7 @@ from xml.etree import ElementTree as Xml
 
 from geoorbit_ros.core.errors import InputFileError
 from geoorbit_ros.core.input_report import Treatment
-from geoorbit_ros.storage.tracks.box_list import BoxList, as_number, parse_xml
+from geoorbit_ros.storage.tracks.box_list import BoxList, as_size, parse_xml
 from geoorbit_ros.storage.tracks.raw_tracks import RawTracks
 
 
@@ -52,5 +52,4 @@ def _image_size(root: Xml.Element) -> tuple[int, int] | None:
     size = root.find(".//original_size")
     if size is None:
         return None
-    width, height = as_number(size.findtext("width")), as_number(size.findtext("height"))
-    return (int(width), int(height)) if width > 0 and height > 0 else None
+    return as_size(size.findtext("width"), size.findtext("height"))

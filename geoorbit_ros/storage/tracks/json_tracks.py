@@ -18,7 +18,8 @@ import numpy as np
 
 from geoorbit_ros.core.errors import InputFileError
 from geoorbit_ros.core.input_report import Treatment
-from geoorbit_ros.storage.tracks.box_list import BoxList, as_number
+from geoorbit_ros.storage.tracks.box_list import BoxList, as_number, as_size
+from geoorbit_ros.storage.tracks.csv_table import MAX_TIME_S
 from geoorbit_ros.storage.tracks.csv_text import decode
 from geoorbit_ros.storage.tracks.raw_tracks import RawTracks
 
@@ -61,12 +62,11 @@ class OtVision:
             interpolated += bool(row.get("interpolated-detection"))
         raw = boxes.raw(self.name, place)
         raw.stamp_ns = np.array(moments, dtype=np.int64)
-        video = content.get("metadata", {}).get("video", content.get("metadata", {}).get("vid", {}))
+        video = _part(_part(content, "metadata"), "video", "vid")
         fps = as_number(video.get("recorded_fps"))
         raw.fps = fps if fps > 0 else None
         raw.first_frame = 1
-        width, height = as_number(video.get("width")), as_number(video.get("height"))
-        raw.image_size = (int(width), int(height)) if width > 0 and height > 0 else None
+        raw.image_size = as_size(video.get("width"), video.get("height"))
         if len(set(moments)) * 2 < len(set(boxes.frame)):
             raw.stamp_ns = None  # times of whole seconds, or of the video's start
         if interpolated:
@@ -104,6 +104,12 @@ class JsonBoxes:
         return boxes.raw(self.name, place)
 
 
+def _part(content: Mapping[str, Any], *names: str) -> Mapping[str, Any]:
+    """The first member of these names that has members itself; an empty one where none has."""
+    parts = (content.get(name) for name in names)
+    return next((part for part in parts if isinstance(part, Mapping)), {})
+
+
 def _load(path: Path, expected: str) -> Any:
     """A JSON value, or a list of the values of JSON Lines."""
     place = str(path)
@@ -118,11 +124,11 @@ def _load(path: Path, expected: str) -> Any:
     text = decode(data, place, expected)
     try:
         return json.loads(text)
-    except json.JSONDecodeError as whole:
+    except (json.JSONDecodeError, RecursionError) as whole:
         lines = [line for line in text.splitlines() if line.strip()]
         try:
             return [json.loads(line) for line in lines]
-        except json.JSONDecodeError:
+        except (json.JSONDecodeError, RecursionError):
             found = f"JSON that breaks off or has a fault: {whole}"
             raise InputFileError(place, found, expected) from None
 
@@ -177,7 +183,7 @@ def _moment_ns(value: object) -> int:
     """Capture time of OTVision: seconds since 1970, or a date of its format; -1 for none."""
     number = as_number(value)
     if np.isfinite(number):
-        return round(number * _NS) if number >= 0 else -1
+        return round(number * _NS) if 0 <= number <= MAX_TIME_S else -1
     try:
         moment = datetime.fromisoformat(str(value)).replace(tzinfo=UTC)
     except ValueError:

@@ -36,7 +36,7 @@ class Kitti:
         except InputFileError:
             return False
         line = next((s for s in text.splitlines() if s.strip()), "").split()
-        return len(line) in _VALUES and line[0].isdigit() and line[2].isalpha()
+        return len(line) in _VALUES and line[0].isdigit() and line[2].replace("_", "").isalpha()
 
     def read(self, path: Path, columns: dict[str, str]) -> RawTracks:
         """See `TrackFormat.read`; there is no header, so `columns` mean nothing."""

@@ -77,6 +77,15 @@ def assert_same(points: ControlPoints, tolerance_m: float = 0.01) -> None:
     np.testing.assert_allclose(points.local_m, TRUE.local_m, atol=tolerance_m)
 
 
+def with_blanks(degrees: float, *, seconds: bool) -> str:
+    """`-89 20 38.5`, or `-89 20.6417`."""
+    whole, minutes = divmod(abs(degrees) * 60.0, 60.0)
+    sign = "-" if degrees < 0.0 else ""
+    if not seconds:
+        return f"{sign}{whole:.0f} {minutes:.10f}"
+    return f"{sign}{whole:.0f} {int(minutes)} {(minutes % 1.0) * 60.0:.9f}"
+
+
 def degrees_minutes(value: float, letters: str) -> str:
     minutes, seconds = divmod(3600.0 * abs(value), 60.0)
     degrees, minutes = divmod(minutes, 60.0)
@@ -117,6 +126,12 @@ SPELLINGS: dict[str, str | bytes] = {
         lambda row: [
             *row[:2], degrees_minutes(float(row[2]), "NS"), degrees_minutes(float(row[3]), "EW")
         ]
+    ),
+    "degrees and minutes with blanks": text(
+        lambda row: [*row[:2], *(with_blanks(float(cell), seconds=False) for cell in row[2:])]
+    ),
+    "degrees, minutes and seconds with blanks": text(
+        lambda row: [*row[:2], *(with_blanks(float(cell), seconds=True) for cell in row[2:])]
     ),
     "letters for north and west": text(
         lambda row: [*row[:2], f"{row[2]} N", f"{row[3].lstrip('-')}° W"]

@@ -74,6 +74,23 @@ def test_addresses_within_a_text_are_masked() -> None:
     assert masked_text(text) == "no answer from rtsp://admin:***@c/1, http://c/?pw=*** again"
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "gst:rtspsrc location=rtsp://u:SECRET@192.0.2.4/s user-pw=SECRET ! decodebin",
+        "no x/gst:rtspsrc location=rtsp:/u:SECRET@192.0.2.4/s user_password=SECRET ! decodebin",
+        "souphttpsrc token=SECRET",
+    ],
+)
+def test_secrets_of_a_pipeline_and_of_a_path_made_of_it_are_masked(text: str) -> None:
+    assert masked_text(text) == text.replace("SECRET", "***")
+
+
+@pytest.mark.parametrize("text", ["C:/films/a.mp4: no such file", "expected key=value", "a:b@c"])
+def test_a_text_without_secrets_stays_as_it_is(text: str) -> None:
+    assert masked_text(text) == text
+
+
 passwords = st.text("ABCXYZ0[]/?#@%:&;=+ \\\"'<>^|", min_size=2)
 
 

@@ -185,6 +185,15 @@ REFUSED = [
     ("name: a\ncameras: [{id: a}]\n", "no camera that can be used .a: .*key 'cameras.0..source'"),
     ("name: a\ncameras: 3\n", "a list"),
     ("name: [\n", "broken YAML"),
+    ("name: a\ncameras: !!int abc\n", "'abc' is no int"),
+    ("name: a\ndomain_id: !!int 0xZZ\n", "'0xZZ' is no int"),
+    ("name: a\ndomain_id: " + "9" * 5000 + "\n", "is no int"),
+    ("name: a\ndomain_id: !!float north\n", "'north' is no float"),
+    ("name: a\nenabled: !!bool maybe\n", "'maybe' is no bool"),
+    ("name: a\nenabled: !!timestamp soon\n", "'soon' is no timestamp"),
+    ("name: a\n? [a, b]\n: c\n", "a list or keys as a key"),
+    ("name: a\nx: {? {a: 1} : 2}\n", "a list or keys as a key"),
+    ("name: a\ncameras: " + "[" * 3000 + "]" * 3000 + "\n", "lists in lists"),
     ("\0\0\0", "broken YAML"),
 ]
 

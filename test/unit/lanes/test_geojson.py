@@ -301,12 +301,26 @@ def test_wrong_files_are_one_sentence_with_place_and_value(
         assert word in message
 
 
-@pytest.mark.parametrize("text", [b"", b"{", b"\xff\xfe\x00"])
+@pytest.mark.parametrize("text", [b"", b"{", b"\xff\xfe\x00", b"[" * 100_000])
 def test_not_json(tmp_path: Path, text: bytes) -> None:
     path = tmp_path / "broken.geojson"
     path.write_bytes(text)
     with pytest.raises(InputFileError, match=r"broken\.geojson.*expected a GeoJSON file"):
         read_lanes(path)
+
+
+def test_numbers_that_no_float_holds_are_one_sentence(tmp_path: Path) -> None:
+    path = tmp_path / "lanes.geojson"
+    for value in ("9" * 400, "-" + "9" * 400):
+        data = {"type": "FeatureCollection", "features": [_line([[8.5, 47.3], [8.5, 0.0]])]}
+        path.write_text(json.dumps(data).replace("0.0]", f"{value}]"))
+        with pytest.raises(InputFileError):
+            read_lanes(path)
+
+
+def _line(coordinates: list[list[float]]) -> dict[str, Any]:
+    geometry = {"type": "LineString", "coordinates": coordinates}
+    return {"type": "Feature", "geometry": geometry, "properties": {"lane_id": 1}}
 
 
 def each_property(data: dict[str, Any], key: str, value: object) -> dict[str, Any]:

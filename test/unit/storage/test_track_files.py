@@ -182,6 +182,51 @@ def test_times_in_any_unit_are_the_same_times(
     assert bool(remark) == bool(said(report))
 
 
+def test_one_wrong_time_is_left_out_and_does_not_stretch_the_recording(
+    tmp_path: Path,
+) -> None:
+    rows = [(k % 7, 0.1 * k, 2, 0.9, 50 + k, 60, 20, 20) for k in range(400)]
+    for wrong in (99999.0, 1716537600.0):
+        bad = [(*row[:1], wrong, *row[2:]) if k == 100 else row for k, row in enumerate(rows)]
+        frames, report = read(tmp_path, csv(bad, "id,time,class,conf,x,y,w,h"))  # type: ignore[arg-type]
+        assert len(frames) == 399
+        assert frames.stamp_ns[-1] == pytest.approx(39.9e9, abs=2)
+        assert "1 of 400 boxes left out: a time far from all others" in said(report)
+
+
+def test_upper_left_corners_go_before_places_in_the_world(tmp_path: Path, clean: Frames) -> None:
+    """MOTChallenge's own header has both; another common one has xmin, ymin, width, height."""
+    for header in (
+        "id,time,frame,class,conf,bb_left,bb_top,bb_width,bb_height,x,y,z",
+        "id,time,frame,class,conf,xmin,ymin,width,height,a,b,c",
+    ):
+        corner = each(
+            lambda d: [
+                *list(d.values())[:5], d["x"] - d["w"] / 2, d["y"] - d["h"] / 2,
+                d["w"], d["h"], -1, -1, -1,
+            ],
+            header,
+        )  # fmt: skip
+        assert_same(read(tmp_path, corner, image_size=SIZE)[0], clean)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '{"data": {"detections": []}, "metadata": null}',
+        '{"data": {"detections": [{"x": 1}]}, "metadata": null}',
+        '{"data": {"detections": [{"x": 1}]}, "metadata": {"video": [1]}}',
+        '{"data": {"detections": [{"x": 1, "occurrence": 1e300}]}, "metadata": {"vid": {}}}',
+        '{"data": {"detections": [{"x": %s}]}, "metadata": {"video": {"width": Infinity}}}'
+        % ("9" * 400),
+        "[" * 100_000,
+    ],
+)
+def test_json_that_is_odd_inside_is_refused_in_one_sentence(tmp_path: Path, text: str) -> None:
+    with pytest.raises(InputFileError):
+        read(tmp_path, text)
+
+
 @pytest.mark.parametrize(
     ("name", "per_second"),
     [
