@@ -74,6 +74,10 @@ class ReadOptions:
         return report.image_size
 
 
+FAR_TWINS, FAR_TWINS_SHARE = 0.1, 0.03
+"""Boxes of one id in one frame that lie a tenth of all places' spread apart are two vehicles; where
+more than 3 % of the boxes are such, the ids are not those of one recording. Chosen: a tracker that
+writes rows twice puts them on one place."""
 FAR_SPANS, FAR_S, FAR_SHARE = 10.0, 60.0, 0.01
 """A time ten recordings and a minute away from the middle 90 % is wrong where at most 1 % of the
 rows have such times. Chosen: a recording with a pause overnight has far more on both sides."""
@@ -360,4 +364,11 @@ def _without_twins(
     text = "an id twice in a frame; the box with the higher score is kept"
     example = f"{raw.place(k)}: id {rows['track_id'][k]}"
     raw.report.add(Treatment.REPAIRED, len(twins), text, example)
+    place = np.stack([raw.x, raw.y])
+    spread = np.ptp(np.percentile(place[:, at], (5.0, 95.0), axis=1), axis=0)
+    apart = np.abs(place[:, twins] - place[:, sorted_at[:-1][again]])
+    far = int(np.count_nonzero((apart > FAR_TWINS * spread[:, None]).any(axis=0)))
+    if far > FAR_TWINS_SHARE * len(at):
+        text = f"{far} boxes have the id of another one far away in the same frame"
+        raw.report.note(Treatment.DOUBTFUL, f"{text}: are several recordings in this file?")
     return at[~np.isin(at, twins)]

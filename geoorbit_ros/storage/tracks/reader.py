@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from geoorbit_ros.core.errors import InputFileError
-from geoorbit_ros.core.input_report import InputReport
+from geoorbit_ros.core.input_report import InputReport, Treatment
 from geoorbit_ros.core.tables import Frames
 from geoorbit_ros.storage.tracks.cleaning import ReadOptions, clean_tracks
 from geoorbit_ros.storage.tracks.csv_table import CsvTable
@@ -54,4 +54,9 @@ def read_tracks(path: Path, options: ReadOptions | None = None) -> tuple[Frames,
         kind = "binary data" if b"\0" in head else f"a file that begins with {first!r}"
         raise InputFileError(place, kind, expected)
     raw = found.read(path, dict(options.columns))
+    if options.columns and not isinstance(found, CsvTable):
+        text = f"--columns is not used: {found.name} says itself what its values are"
+        raw.report.note(Treatment.NOTED, text)
+    if options.fps and raw.stamp_ns is not None:
+        raw.report.note(Treatment.NOTED, "--fps is not used: the file has times")
     return clean_tracks(raw, options, found.expected)

@@ -34,7 +34,7 @@ def made_rows(frames: int = 12, vehicles: int = 3) -> list[Row]:
     ]
 
 
-def csv(rows: list[Row], header: str = HEADER) -> str:
+def csv(rows: Sequence[Sequence[object]], header: str = HEADER) -> str:
     return "\n".join([header, *(",".join(map(str, row)) for row in rows)]) + "\n"
 
 
@@ -44,7 +44,7 @@ def changed(at: int, **cells: object) -> str:
     rows = [list(row) for row in made_rows()]
     for name, value in cells.items():
         rows[at][names.index(name)] = value  # type: ignore[call-overload]
-    return csv([tuple(row) for row in rows])  # type: ignore[misc]
+    return csv([tuple(row) for row in rows])
 
 
 def each(make: Callable[[dict[str, float]], Sequence[object]], header: str = HEADER) -> str:
@@ -182,13 +182,46 @@ def test_times_in_any_unit_are_the_same_times(
     assert bool(remark) == bool(said(report))
 
 
+def test_two_recordings_in_one_file_are_doubted_and_rows_written_twice_are_not(
+    tmp_path: Path,
+) -> None:
+    header = "id,time,class,conf,x,y,w,h"
+
+    def recording(shift: int) -> list[tuple[float, ...]]:
+        return [
+            (k, 0.1 * n, 2, 0.9, 100 + 30 * n + 200 * ((k + shift) % 5), 60 + 90 * k, 20, 20)
+            for n in range(30)
+            for k in range(5)
+        ]
+
+    both = csv([*recording(0), *recording(2)], header)
+    assert "several recordings" in said(read(tmp_path, both)[1])
+    twice = csv([*recording(0), *recording(0)], header)
+    assert "several recordings" not in said(read(tmp_path, twice)[1])
+
+
+def test_options_that_say_nothing_here_are_named(tmp_path: Path, clean: Frames) -> None:
+    frames, report = read(tmp_path, csv(made_rows()), fps=5.0)
+    assert_same(frames, clean)
+    assert "--fps is not used: the file has times" in said(report)
+    mot = "\n".join(f"{k},1,100,100,40,30,0.9,-1,-1,-1" for k in range(1, 20))
+    _, report = read(tmp_path, mot, fps=5.0, columns={"id": "veh"})
+    assert "--columns is not used" in said(report)
+    assert "--fps" not in said(report)
+
+
+def test_a_class_named_twice_is_refused() -> None:
+    with pytest.raises(ParameterError, match="class 2 twice"):
+        class_table("2=car,3=bus,2=truck")
+
+
 def test_one_wrong_time_is_left_out_and_does_not_stretch_the_recording(
     tmp_path: Path,
 ) -> None:
     rows = [(k % 7, 0.1 * k, 2, 0.9, 50 + k, 60, 20, 20) for k in range(400)]
     for wrong in (99999.0, 1716537600.0):
         bad = [(*row[:1], wrong, *row[2:]) if k == 100 else row for k, row in enumerate(rows)]
-        frames, report = read(tmp_path, csv(bad, "id,time,class,conf,x,y,w,h"))  # type: ignore[arg-type]
+        frames, report = read(tmp_path, csv(bad, "id,time,class,conf,x,y,w,h"))
         assert len(frames) == 399
         assert frames.stamp_ns[-1] == pytest.approx(39.9e9, abs=2)
         assert "1 of 400 boxes left out: a time far from all others" in said(report)
@@ -272,7 +305,7 @@ def test_all_columns_that_are_missing_are_told_at_once(tmp_path: Path) -> None:
 def test_times_since_1970_are_exact_to_the_nanosecond(tmp_path: Path) -> None:
     stamps = [f"1700000000.{k:09d}" for k in (1, 123456789, 999999999)]
     rows = [(1, t, k, 2, 0.9, 50, 50, 20, 20) for k, t in enumerate(stamps)]
-    frames, _ = read(tmp_path, csv(rows))  # type: ignore[arg-type]
+    frames, _ = read(tmp_path, csv(rows))
     assert (frames.stamp_ns % 10**9).tolist() == [1, 123456789, 999999999]
 
 
