@@ -92,7 +92,9 @@ def parse_collection(text: str, path: Path) -> Collection:
         where = f"{path}, line {error.lineno}"
         raise InputFileError(where, error.msg, "a GeoJSON file") from error
     except RecursionError as error:
-        raise InputFileError(str(path), "lists in lists without end", "a GeoJSON file") from error
+        raise InputFileError(
+            str(path), "lists in lists, too deep to read", "a GeoJSON file"
+        ) from error
     if isinstance(data, dict) and data.get("type") == "Feature":
         data = {"type": "FeatureCollection", "features": [data]}
     if not isinstance(data, dict) or data.get("type") != "FeatureCollection":

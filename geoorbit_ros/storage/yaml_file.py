@@ -259,7 +259,7 @@ def _load(text: str) -> object:
     try:
         return yaml.load(text, Loader=_Loader)
     except RecursionError as error:
-        raise yaml.MarkedYAMLError(problem="lists in lists without end") from error
+        raise yaml.MarkedYAMLError(problem="lists in lists, too deep to read") from error
 
 
 def _without_tabs(text: str) -> str | None:

@@ -46,11 +46,13 @@ def class_table(text: str) -> dict[str, str]:
         return {str(k): name for k, name in NUMBERED[text.lower()].items()}
     pairs = [part.split("=", 1) for part in text.split(",")]
     if all(len(pair) == 2 for pair in pairs):
-        numbers = [number.strip() for number, _ in pairs]
-        twice = next((number for number in numbers if numbers.count(number) > 1), None)
-        if twice is not None:
-            raise ParameterError("option --classes", f"class {twice} twice in '{text}'", "it once")
-        return {number.strip(): name.strip() for number, name in pairs}
+        table: dict[str, str] = {}
+        for number, name in ((number.strip(), name.strip()) for number, name in pairs):
+            if number in table:
+                found = f"class {number} twice in '{text}'"
+                raise ParameterError("option --classes", found, "each class once")
+            table[number] = name
+        return table
     try:
         content = yaml.safe_load(Path(text).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError):

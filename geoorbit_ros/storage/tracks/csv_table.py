@@ -223,8 +223,8 @@ class CsvTable:
             name = roles["time"]
             text: pa.Array = table.columns[table.names.index(name)]
             # `--columns time_ms=t` names the unit, too.
-            said = next((m for m, column in columns.items() if column == name), name)
-            raw.stamp_ns = parse_times(text, said if said != "time" else name, table.report)
+            said = next((word for word, column in columns.items() if column == name), name)
+            raw.stamp_ns = parse_times(text, said if _named_unit(said) else name, table.report)
         return raw
 
 
