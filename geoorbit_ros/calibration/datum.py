@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pyproj import Transformer
 
 from geoorbit_ros.core.errors import CalibrationError, ParameterError
+
+if TYPE_CHECKING:
+    from pyproj import Transformer
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +71,9 @@ class Datum:
 @lru_cache(maxsize=64)
 def _transformer(proj_string: str) -> Transformer:
     """Making one takes milliseconds, using it microseconds."""
+    # Here, because it takes a tenth of a second, and most nodes and commands never come by.
+    from pyproj import Transformer
+
     return Transformer.from_crs("EPSG:4326", proj_string, always_xy=True)
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from geoorbit_ros.calibration.control_points import ControlPoints, check_points
 from geoorbit_ros.calibration.plane import ControlResidual, Homography
@@ -168,7 +168,7 @@ def _minimise(start: Matrix, ground: Matrix, pixel: Matrix, noise: tuple[float, 
         def slope(h: Matrix, whiten: Matrix = whiten) -> Matrix:
             return _design(np.append(h, 1.0).reshape(3, 3), ground, whiten)
 
-        solution = least_squares(
+        solution = scipy.optimize.least_squares(
             error, matrix.ravel()[:8], slope, method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15
         )
         matrix = np.append(solution.x, 1.0).reshape(3, 3)

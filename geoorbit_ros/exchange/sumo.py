@@ -8,9 +8,8 @@ from pathlib import Path
 from xml.etree import ElementTree as Xml
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.polylines import project, sample
@@ -51,8 +50,10 @@ def carriageways(lanes: Sequence[Lane], side: Side = "right") -> list[list[Lane]
         if i != j and _neighbours(a, b)
     ]
     rows, columns = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
-    linked = coo_array((np.ones(len(pairs)), (rows, columns)), shape=(len(lanes), len(lanes)))
-    _, label = connected_components(linked, directed=False)
+    linked = scipy.sparse.coo_array(
+        (np.ones(len(pairs)), (rows, columns)), shape=(len(lanes), len(lanes))
+    )
+    _, label = scipy.sparse.csgraph.connected_components(linked, directed=False)
     groups = [
         [lane for lane, k in zip(lanes, label, strict=True) if k == wanted]
         for wanted in np.unique(label)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import differential_evolution
 
 from geoorbit_ros.learning.objective import Objective
 from geoorbit_ros.learning.parameter_space import DEFAULT_UNIT
@@ -71,7 +71,7 @@ def search_theta(
         gone = float(np.sum((theta - origin) ** 2))
         return log_loss(objective.losses(theta)) + stay * gone
 
-    found = differential_evolution(
+    found = scipy.optimize.differential_evolution(
         cost,
         [(0.0, 1.0)] * len(origin),
         init=_first_population(origin, seed),

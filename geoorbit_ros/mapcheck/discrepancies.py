@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from math import ceil
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.polylines import project
@@ -239,7 +239,9 @@ def _of_pair(
     if abs(shift) > tolerance and _all_along(network, k, partners, at, shift):
         side = "left" if shift > 0 else "right"
         text = f"{name} lies {abs(shift):.2f} m too far to the {_other(side)}"
-        confidence = lane.confidence * float(ndtr((abs(shift) - SHIFT_M) / max(sigma, 1e-3)))
+        confidence = lane.confidence * float(
+            scipy.special.ndtr((abs(shift) - SHIFT_M) / max(sigma, 1e-3))
+        )
         found.append(
             Finding(
                 "shifted", name, lane.lane_id, line, shift, 0.0, tolerance, "m", confidence, text
@@ -251,7 +253,7 @@ def _of_pair(
     if np.isfinite(lane.width_m) and abs(lane.width_m - expected) > tolerance:
         text = f"{name} is {lane.width_m:.2f} m wide, by the map {expected:.2f} m"
         confidence = lane.confidence * float(
-            ndtr((abs(lane.width_m - expected) - WIDTH_M) / max(sigma, 1e-3))
+            scipy.special.ndtr((abs(lane.width_m - expected) - WIDTH_M) / max(sigma, 1e-3))
         )
         found.append(
             Finding(

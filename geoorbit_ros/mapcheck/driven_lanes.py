@@ -10,8 +10,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from geoorbit_ros.core.polylines import offset_line
 from geoorbit_ros.roadnet.lane_index import LaneIndex
@@ -47,7 +47,7 @@ class DrivenLane:
 
     def left_at(self, arc_m: Array) -> Array:
         """How far to the left at (P,) metres along it, smoothed; beyond the ends as at the ends."""
-        smooth = median_filter(self.left_m, SMOOTH, mode="nearest")
+        smooth = scipy.ndimage.median_filter(self.left_m, SMOOTH, mode="nearest")
         return np.asarray(np.interp(arc_m, self.arc_m, smooth))
 
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d, maximum_filter1d, uniform_filter1d
 
 from geoorbit_ros.markings.road_image import ACROSS_M, ALONG_M, RoadStrip
 
@@ -182,7 +182,9 @@ def _contrast(strip: RoadStrip) -> Array:
     size = np.abs(best)
     middle = _median(size, usable)
     reach = round(2.0 * NOISE_REACH_M / ACROSS_M)
-    texture = uniform_filter1d(np.minimum(size, 3.0 * middle), reach, axis=1, mode="nearest")
+    texture = scipy.ndimage.uniform_filter1d(
+        np.minimum(size, 3.0 * middle), reach, axis=1, mode="nearest"
+    )
     noise = np.maximum(1.25 * texture, NOISE_FLOOR)
     return np.where(usable, np.clip(best / noise, -1.0, MOST), 0.0)
 
@@ -232,7 +234,7 @@ def _seeds(contrast: Array, strip: RoadStrip) -> list[_Seed]:
     half = length // 2
     middles = np.arange(half, max(stations - half, half + 1), round(HOP_M / ALONG_M))
     usable = (strip.across_m <= MAX_PIXEL_M).astype(np.float64)
-    seen = uniform_filter1d(usable, length, axis=0, mode="constant")[middles]
+    seen = scipy.ndimage.uniform_filter1d(usable, length, axis=0, mode="constant")[middles]
     columns = np.arange(offsets)
     best = np.zeros((len(middles), offsets))
     for slope in np.arange(-MAX_SLOPE, MAX_SLOPE + 1e-9, SLOPE_STEP):
@@ -243,8 +245,10 @@ def _seeds(contrast: Array, strip: RoadStrip) -> list[_Seed]:
             best[j] = np.maximum(best[j], contrast[rows[:, None], at].mean(axis=0))
     with np.errstate(divide="ignore", invalid="ignore"):
         best = np.where(seen > LEAST_SEEN, best / seen, 0.0)
-    smooth = gaussian_filter1d(best, 2.0, axis=1)
-    peak = (smooth == maximum_filter1d(smooth, round(0.3 / ACROSS_M), axis=1)) & (best > MIN_SCORE)
+    smooth = scipy.ndimage.gaussian_filter1d(best, 2.0, axis=1)
+    peak = (smooth == scipy.ndimage.maximum_filter1d(smooth, round(0.3 / ACROSS_M), axis=1)) & (
+        best > MIN_SCORE
+    )
     found = [
         _Seed(int(middles[j]), float(strip.offset_m[k]), float(best[j, k]))
         for j, k in zip(*np.nonzero(peak), strict=True)
@@ -383,8 +387,8 @@ def _smooth(error: Array, seen: NDArray[np.bool_], reach_m: float) -> Array:
     weight = seen.astype(np.float64)
     fit = np.zeros(len(error))
     for _ in range(3):
-        total = gaussian_filter1d(weight, reach_m / ALONG_M, mode="nearest")
-        change = gaussian_filter1d(weight * error, reach_m / ALONG_M, mode="nearest")
+        total = scipy.ndimage.gaussian_filter1d(weight, reach_m / ALONG_M, mode="nearest")
+        change = scipy.ndimage.gaussian_filter1d(weight * error, reach_m / ALONG_M, mode="nearest")
         fit = np.where(total > 1e-6, change / np.maximum(total, 1e-6), 0.0)
         weight = np.where(seen, 1.0 / (1.0 + np.square((error - fit) / OUTLIER_M)), 0.0)
     return fit
@@ -398,7 +402,7 @@ def _width_m(strip: RoadStrip, rows: NDArray[np.int64], columns: NDArray[np.int6
     reach = round(PROFILE_M / ACROSS_M)
     at = np.clip(columns[:, None] + np.arange(-reach, reach + 1), 0, strip.bgr.shape[1] - 1)
     profile = np.median(strip.bgr[rows[:, None], at, 1:].mean(axis=2, dtype=np.float64), axis=0)
-    slope = uniform_filter1d(np.diff(profile), 3)
+    slope = scipy.ndimage.uniform_filter1d(np.diff(profile), 3)
     right, left = np.argmax(slope[:reach]), reach + np.argmin(slope[reach:])
     return float(left - right) * ACROSS_M
 

@@ -10,8 +10,8 @@ from dataclasses import astuple, dataclass
 from typing import Protocol
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from geoorbit_ros.core.errors import ParameterError, TableError
 from geoorbit_ros.core.lanes import Lane
@@ -147,7 +147,7 @@ def pair_lanes(detected: Sequence[Lane], reference: Sequence[Lane]) -> LanePairs
         )
     distance = frechet_matrix(lines, found)
     partner = np.argmin(distance, axis=1)
-    rows, columns = linear_sum_assignment(distance)
+    rows, columns = scipy.optimize.linear_sum_assignment(distance)
     partner[rows] = columns
     return LanePairs(
         np.array(lines),

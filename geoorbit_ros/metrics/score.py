@@ -27,8 +27,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.polylines import Samples, project, sample
@@ -129,7 +129,7 @@ def _compare(s: Samples, truth: Lane, true: Samples) -> _Pair:
 
 
 def _assign(cost: NDArray[np.float64]) -> list[tuple[int, int]]:
-    i, j = linear_sum_assignment(cost)
+    i, j = scipy.optimize.linear_sum_assignment(cost)
     return [(int(a), int(b)) for a, b in zip(i, j, strict=True) if cost[a, b] < _NO_MATCH]
 
 

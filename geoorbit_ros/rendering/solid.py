@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
 
 
 class Material(IntEnum):
@@ -168,7 +168,7 @@ class SolidBuilder:
         return Solid(
             (length_m, width_m, height_m),
             corners,
-            np.asarray(ConvexHull(corners).vertices, dtype=np.intp),
+            np.asarray(scipy.spatial.ConvexHull(corners).vertices, dtype=np.intp),
             self._faces,
             normals,
             np.array([n @ c.mean(axis=0) for n, c in zip(normals, self._corners, strict=True)]),

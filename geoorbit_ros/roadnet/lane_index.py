@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from geoorbit_ros.roadnet.network import NO_LANE, RoadNetwork
 
@@ -64,7 +64,7 @@ class LaneIndex:
         self._arc = np.concatenate([arc for _, _, arc in pieces])
         self._heading = np.arctan2(vector[:, 1], vector[:, 0])
         self._lane = np.repeat(np.arange(len(network)), count)
-        self._tree = cKDTree(begin + 0.5 * vector)
+        self._tree = scipy.spatial.cKDTree(begin + 0.5 * vector)
 
     def near(self, xy: NDArray[np.float64], radius_m: float = RADIUS_M) -> Candidates:
         """The lanes within `radius_m` of points (M, 2)."""

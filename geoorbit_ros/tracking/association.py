@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
+import scipy
 
 from geoorbit_ros.tracking.motion_model import (
     MEAN,
@@ -254,5 +254,7 @@ def assign(pairs: Sequence[Pair], limit: float) -> list[Pair]:
     at = {(row[pair.track], column[pair.detection]): pair for pair in contested}
     for place, pair in at.items():
         costs[place] = pair.cost
-    best = zip(*(index.tolist() for index in linear_sum_assignment(costs)), strict=True)
+    best = zip(
+        *(index.tolist() for index in scipy.optimize.linear_sum_assignment(costs)), strict=True
+    )
     return sole + [at[place] for place in best if place in at]

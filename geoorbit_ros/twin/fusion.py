@@ -13,8 +13,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from geoorbit_ros.twin.false_tracks import JUMP_ACROSS_M, FalseTrackWatch, JumpWatch, reach_along_m
 from geoorbit_ros.twin.vehicles import Vehicles, type_of_class, usual_size
@@ -198,7 +198,7 @@ class Fusion:
         # A track that has just begun has no velocity yet.
         excluded |= ~np.isnan(pairs["heading"]) & (speed > GATE_SPEED_MPS)
         matrix = np.where(excluded, 1e3, cost).reshape(len(rows), len(able))
-        r, v = linear_sum_assignment(matrix)
+        r, v = scipy.optimize.linear_sum_assignment(matrix)
         good = matrix[r, v] < 1e3
         found[r[good]] = able[v[good]]
         return found

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from geoorbit_ros.calibration.camera_pose import recover_pose
 from geoorbit_ros.calibration.datum import Datum
@@ -75,7 +75,7 @@ def compare_boxes(seen: NDArray[np.float64], twin: NDArray[np.float64], scale: f
     inner = np.prod(np.maximum(high - low, 0.0), axis=2)
     area = [np.prod(boxes[:, 2:] - boxes[:, :2], axis=1) for boxes in (seen, twin)]
     overlap = inner / (area[0][:, None] + area[1][None] - inner)
-    a, b = linear_sum_assignment(-overlap)
+    a, b = scipy.optimize.linear_sum_assignment(-overlap)
     good = overlap[a, b] >= MIN_OVERLAP
     a, b = a[good], b[good]
     if not len(a):

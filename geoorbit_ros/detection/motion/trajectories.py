@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from geoorbit_ros.detection.motion.vehicle_shapes import Box
 
@@ -192,7 +192,7 @@ class Trajectories:
         limit = (np.where(known, OFF_COURSE, FIRST_STEP) * diagonal)[:, None]
         possible = (off < limit) & (unlike < ALIKE)
         cost = np.where(possible, off / limit + unlike / ALIKE, _IMPOSSIBLE)
-        rows, columns = linear_sum_assignment(cost)
+        rows, columns = scipy.optimize.linear_sum_assignment(cost)
         some = possible[rows, columns]
         return list(zip(rows[some].tolist(), columns[some].tolist(), strict=True))
 

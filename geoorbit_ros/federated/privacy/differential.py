@@ -7,8 +7,8 @@ protected is a camera's whole part in a round; the server is trusted with the up
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from geoorbit_ros.federated.errors import FederationError
 from geoorbit_ros.federated.payloads.model_layout import Vector
@@ -36,7 +36,7 @@ def normal_noise(secret: bytes, round_number: int, size: int) -> NDArray[np.floa
     key = bytes(a ^ b for a, b in zip(secret, round_number.to_bytes(32, "little"), strict=True))
     words = stream(key, 2 * size).astype(np.uint64)
     uniform = ((words[:size] << np.uint64(21)) ^ words[size:]).astype(np.float64)
-    return np.asarray(ndtri((uniform + 0.5) / 2.0**53))
+    return np.asarray(scipy.special.ndtri((uniform + 0.5) / 2.0**53))
 
 
 def epsilon(noise_multiplier: float, rounds: int, delta: float) -> float:

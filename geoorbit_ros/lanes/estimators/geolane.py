@@ -11,10 +11,8 @@ Gaussian of sigma 2, peaks at least three bins apart, at least 1 high and 1 prom
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.interpolate import UnivariateSpline
-from scipy.ndimage import gaussian_filter1d
-from scipy.signal import find_peaks
 from sklearn.cluster import KMeans
 
 from geoorbit_ros.core.lanes import CrossSection, Lane, LaneMap
@@ -122,10 +120,10 @@ def _lane_centers(
     """Peaks of the smoothed histogram of mean lateral positions."""
     bins = max(2, round(BINS * REFERENCE_SMOOTHING / parameters.smoothing))
     histogram, edges = np.histogram(x_mean, bins=bins)
-    smooth = gaussian_filter1d(
+    smooth = scipy.ndimage.gaussian_filter1d(
         histogram.astype(np.float64), KERNEL_SIGMA_BINS, mode="constant", truncate=1.0
     )
-    peaks, _ = find_peaks(
+    peaks, _ = scipy.signal.find_peaks(
         smooth, height=1.0, distance=PEAK_DISTANCE_BINS, prominence=2.0 * parameters.angle
     )
     middle = 0.5 * (edges[1:] + edges[:-1])
@@ -197,7 +195,7 @@ def _spline(
     bound = smoothing / REFERENCE_SMOOTHING * len(x)
     low, high = float(x.min()), float(x.max())
     for _ in range(SPLINE_TRIES):
-        spline = UnivariateSpline(y, x, w=np.full(len(x), 1.0 / sigma), s=bound)
+        spline = scipy.interpolate.UnivariateSpline(y, x, w=np.full(len(x), 1.0 / sigma), s=bound)
         x_fit = np.asarray(spline(y_fit), dtype=np.float64)
         if np.all((x_fit > 2.0 * low - high - sigma) & (x_fit < 2.0 * high - low + sigma)):
             return x_fit

@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from geoorbit_ros.core.lanes import Lane, Status
 from geoorbit_ros.lanes.estimators.estimator import State
@@ -56,7 +56,9 @@ class LaneRegistry:
                 # A lane grown to twice its length is not near the old one, but that is near it.
                 cost = np.minimum(cost, _distances_m(known, lanes).T)
             blocked = cost > MATCH_M
-            for i, k in zip(*linear_sum_assignment(np.where(blocked, 1e3, cost)), strict=True):
+            for i, k in zip(
+                *scipy.optimize.linear_sum_assignment(np.where(blocked, 1e3, cost)), strict=True
+            ):
                 if not blocked[i, k]:
                     matched[i] = known[k]
         return matched

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from geoorbit_ros.core.lanes import Lane, LaneMap
 from geoorbit_ros.lanes.confidence import count_vehicles, keep_confirmed
@@ -141,7 +141,7 @@ class LaneCounter:
         self._owner = np.repeat(np.arange(len(lines)), [len(line) for line in lines])
         headings = [np.arctan2(*np.gradient(line, axis=0).T[::-1]) for line in lines]
         self._heading = np.concatenate(headings) if lines else np.empty(0)
-        self._tree = cKDTree(np.concatenate(lines)) if lines else None
+        self._tree = scipy.spatial.cKDTree(np.concatenate(lines)) if lines else None
         lengths = np.array([lane.length_m for lane in lanes])
         self._wanted_m = np.minimum(SUPPORT_M, 0.5 * lengths)
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dpbsv
 
 from geoorbit_ros.lanes.estimators.curvilinear.grouped import changes, lengths, quantile, totals
 from geoorbit_ros.lanes.estimators.curvilinear.members import Members
@@ -178,7 +178,7 @@ class _Smoother:
         bands = self._bands.copy()
         bands[2] += weight + 1e-9
         # LAPACK's own banded Cholesky: scipy's checks around it cost more than the solution.
-        _, solution, info = dpbsv(bands, weight * target)
+        _, solution, info = scipy.linalg.lapack.dpbsv(bands, weight * target)
         if info != 0:
             raise ArithmeticError(f"smoothing of {len(weight)} stations: not positive definite")
         return np.asarray(solution)

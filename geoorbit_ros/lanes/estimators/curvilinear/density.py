@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
 
 from geoorbit_ros.lanes.estimators.curvilinear.grouped import totals
 from geoorbit_ros.lanes.estimators.curvilinear.profiles import Profiles
@@ -102,7 +102,9 @@ class Raster:
         # The neighbouring bin's share: the same cells, one further.
         grid[1:] += totals(cell, right.ravel(), size)[:-1]
         image = grid.reshape(self._shape)
-        image = gaussian_filter1d(image, self._blur, axis=1, mode="constant", truncate=3.0)
+        image = scipy.ndimage.gaussian_filter1d(
+            image, self._blur, axis=1, mode="constant", truncate=3.0
+        )
         return Density(self._offset_m, image / BIN_M)
 
 
