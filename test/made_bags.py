@@ -46,6 +46,7 @@ class MadeMcap:
     statistics: bool = True
     chunk_index: bool = True
     footer: bool = True
+    checksum: bool = True
     data: list[bytes] = field(default_factory=list)
 
     def content(self, messages: Iterable[tuple[int, int, bytes]]) -> bytes:
@@ -95,14 +96,24 @@ class MadeMcap:
         if self.compression in ("zstd", "lz4"):
             packed = pa.compress(plain, codec=self.compression, asbytes=True)
         times = [time_ns for _, time_ns, _ in told]
-        content = struct.pack("<QQQI", min(times), max(times), len(plain), zlib.crc32(plain))
+        content = struct.pack("<QQQI", min(times), max(times), len(plain), self._checksum(plain))
         content += text(self.compression) + struct.pack("<Q", len(packed)) + packed
-        index = [
-            record(7, struct.pack("<HI", number, 16 * n) + bytes(16 * n))
-            for number in self.channels
-            if (n := sum(channel == number for channel, _, _ in told)) and self.message_index
-        ]
+        index = self._message_index(len(names), told) if self.message_index else []
         return [record(6, content), *index]
+
+    def _checksum(self, plain: bytes) -> int:
+        return zlib.crc32(plain) if self.checksum else 0
+
+    def _message_index(self, at: int, told: list[tuple[int, int, bytes]]) -> list[bytes]:
+        entries: dict[int, bytes] = {number: b"" for number in self.channels}
+        for channel, time_ns, data in told:
+            entries[channel] += struct.pack("<QQ", time_ns, at)
+            at += len(self._message(channel, time_ns, data))
+        return [
+            record(7, struct.pack("<HI", number, len(listed)) + listed)
+            for number, listed in entries.items()
+            if listed
+        ]
 
     def _chunk_index(self) -> list[bytes]:
         found, at = [], 0

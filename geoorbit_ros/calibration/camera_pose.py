@@ -53,7 +53,9 @@ class CameraPose:
             return np.where(uvw[:, 2:] > 0, uvw[:, :2] / uvw[:, 2:], np.nan)
 
 
-def recover_pose(homography: Homography, image_size: tuple[int, int]) -> CameraPose:
+def recover_pose(
+    homography: Homography, image_size: tuple[int, int], max_skew: float = MAX_SKEW
+) -> CameraPose:
     """Recover focal length and pose, assuming square pixels and a centred principal point.
 
     The images of the road's two axes are perpendicular and of equal length in space, which gives
@@ -63,6 +65,7 @@ def recover_pose(homography: Homography, image_size: tuple[int, int]) -> CameraP
     Args:
         homography: The road plane.
         image_size: (width, height) in pixels of the images the control points were clicked in.
+        max_skew: How far the road's axes may be from perpendicular and equally long.
 
     Raises:
         CalibrationError: The plane fixes no focal length (a camera looking straight down), or an
@@ -91,11 +94,11 @@ def recover_pose(homography: Homography, image_size: tuple[int, int]) -> CameraP
             place, f"a focal length of {focal:.0f} px", f"{low:.0f} to {high:.0f} px"
         )
     pose, skew = _pose(homography, image_size, focal, sigma)
-    if skew > MAX_SKEW:
+    if skew > max_skew:
         raise CalibrationError(
             place,
             f"a road whose axes are distorted by {100 * skew:.0f} %",
-            f"at most {100 * MAX_SKEW:.0f} %: are the images really {image_size[0]}x"
+            f"at most {100 * max_skew:.0f} %: are the images really {image_size[0]}x"
             f"{image_size[1]}, of a camera without lens distortion?",
         )
     if not HEIGHT_M[0] <= pose.position_m[2] <= HEIGHT_M[1]:

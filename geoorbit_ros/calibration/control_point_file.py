@@ -198,6 +198,8 @@ def _read_table(found: CsvBody, place: str) -> _Table:
         InputReport(place, "control points", len(cells)),
         found.comments,
     )
+    if found.repaired:
+        table.report.note(Treatment.REPAIRED, found.repaired)
     if len(at) > 4:
         switch = found.names[at[4]]
         said_no = np.array([row[4].lower() in _NO for row in cells], dtype=np.bool_)

@@ -16,6 +16,7 @@ from geoorbit_ros.calibration.camera_pose import CameraPose
 from geoorbit_ros.calibration.plane import Homography
 from geoorbit_ros.calibration.traffic_findings import (
     border_finding,
+    other_size_finding,
     seen_traffic,
     size_finding,
     sky_finding,
@@ -164,6 +165,7 @@ class TrafficCheck:
                     f"not known: found {self._pose_error.found}, expected "
                     f"{self._pose_error.expected}"
                 )
+                found += other_size_finding(traffic, self._image_size, self._homography)
                 found.append(Remark(Treatment.NOTED, 0, text))
             self.findings = tuple(found)
         return self.findings

@@ -11,10 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.calibration.camera_pose import CameraPose
+from geoorbit_ros.calibration.camera_pose import MAX_SKEW, CameraPose, recover_pose
 from geoorbit_ros.calibration.plane import Homography
 from geoorbit_ros.calibration.vehicle_fit import fit_vehicles
 from geoorbit_ros.calibration.vehicle_size import COVARIANCE, MEAN_M
+from geoorbit_ros.core.errors import CalibrationError
 from geoorbit_ros.core.input_report import Remark, Treatment
 from geoorbit_ros.core.tables import CAR as CAR_CLASS
 from geoorbit_ros.core.tables import FLAG_GROUND_POINT, UNKNOWN_CLASS
@@ -301,17 +302,9 @@ def size_finding(
     traffic: SeenTraffic, image_size: tuple[int, int], homography: Homography, pose: CameraPose
 ) -> Iterator[Remark]:
     """Cars of sizes that cars don't have, and how their boxes may be meant."""
-    size = np.array(image_size, dtype=np.float64)
-    low = traffic.box[:, :2] - traffic.box[:, 2:] / 2
-    high = low + traffic.box[:, 2:]
-    whole = ((low > TOUCHING * size) & (high < (1.0 - TOUCHING) * size)).all(axis=1)
-    use = traffic.solid & traffic.car & whole
-    cars = np.unique(traffic.track_id[use])
-    if len(cars) < MIN_CARS:
+    track_id, box = _whole_cars(traffic, image_size)
+    if not len(box):
         return
-    fewer = min(int(use.sum()) // MAX_BOXES, len(cars) // (3 * MIN_CARS))
-    use &= np.isin(traffic.track_id, cars[:: max(1, fewer)])
-    track_id, box = traffic.track_id[use], traffic.box[use]
     found = _car_size(track_id, box, homography, pose)
     if found is None or _misfit(found) < EXPLAINED[0]:
         return
@@ -331,6 +324,55 @@ def size_finding(
         f"(usual: {MEAN_M[0, 1]:.1f} and {MEAN_M[0, 2]:.1f} m): {best}"
     )
     yield Remark(Treatment.DOUBTFUL, 0, text)
+
+
+def other_size_finding(
+    traffic: SeenTraffic, image_size: tuple[int, int], homography: Homography
+) -> Iterator[Remark]:
+    """Control points of an image of another size, where these fit no camera of the given one.
+
+    Their plane fits a camera of that size, and cars of its pixels have the sizes of cars much
+    rather than those of the given image, whose plane fits a camera only with distorted axes.
+    """
+    track_id, box = _whole_cars(traffic, image_size)
+    if not len(box):
+        return
+    misfit = {}
+    for k in (1.0, *SCALES):
+        other = round(k * image_size[0]), round(k * image_size[1])
+        try:
+            pose = recover_pose(homography, other, np.inf if k == 1.0 else MAX_SKEW)
+        except CalibrationError:
+            continue  # no camera of that size, either
+        found = _car_size(track_id, k * box, homography, pose)
+        if found is not None:
+            misfit[other] = _misfit(found)
+    given = misfit.pop(image_size, np.inf)
+    best = min(misfit, key=lambda other: misfit[other], default=None)
+    if best is not None and misfit[best] <= min(EXPLAINED[0], given - EXPLAINED[1]):
+        text = (
+            f"the control points look like those of an image of {best[0]}x{best[1]}, while the "
+            f"boxes' image is {image_size[0]}x{image_size[1]}: in that size they fit a camera, and "
+            "cars have the sizes of cars"
+        )
+        yield Remark(Treatment.DOUBTFUL, 0, text)
+
+
+def _whole_cars(
+    traffic: SeenTraffic, image_size: tuple[int, int]
+) -> tuple[NDArray[np.int32], Array]:
+    """Tracks (N,) and boxes (N, 4) of cars that no border cuts; none where there are too few."""
+    size = np.array(image_size, dtype=np.float64)
+    low = traffic.box[:, :2] - traffic.box[:, 2:] / 2
+    high = low + traffic.box[:, 2:]
+    whole = ((low > TOUCHING * size) & (high < (1.0 - TOUCHING) * size)).all(axis=1)
+    use = traffic.solid & traffic.car & whole
+    cars = np.unique(traffic.track_id[use])
+    if len(cars) < MIN_CARS:
+        return np.empty(0, np.int32), np.empty((0, 4))
+    fewer = min(int(use.sum()) // MAX_BOXES, len(cars) // (3 * MIN_CARS))
+    use &= np.isin(traffic.track_id, cars[:: max(1, fewer)])
+    return traffic.track_id[use], traffic.box[use]
 
 
 def _other_readings(box: Array) -> dict[str, tuple[Array, ...]]:

@@ -35,11 +35,14 @@ CHUNK_INDEX, STATISTICS = 0x08, 0x0B
 MAX_CHUNK_BYTES = 1 << 30
 """Chunks that say they are larger are damaged. Chosen: rosbag2 writes 768 KiB, other programs some
 megabytes; larger lets a damaged number take all memory."""
+DAMAGED = "messages in a damaged chunk"
 _RUN = 1000
 """Messages outside of chunks that are put in order at once. Chosen: more take memory."""
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, time of receipt, time of publication
 _CHUNK = struct.Struct("<QQQI")  # start, end, size and checksum of the unpacked records
+_INDEX = struct.Struct("<HI")  # channel, bytes of its entries
+_ENTRY = struct.Struct("<QQ")  # time, place in the unpacked chunk
 _FOOTER_BYTES = 20 + _RECORD.size + len(MCAP_MAGIC)
 
 
@@ -53,6 +56,7 @@ class _Block:
         start_ns: Time of the earliest message.
         whole: Whether all of it is there.
         counts: Messages by channel, None if not known.
+        index: Channel of each of its index records, where its entries stand, and their bytes.
         loose: Time, channel, place and size of each message of a run.
     """
 
@@ -61,6 +65,7 @@ class _Block:
     start_ns: int
     whole: bool = True
     counts: Counter[int] | None = None
+    index: list[tuple[int, int, int]] = field(default_factory=list)
     loose: list[tuple[int, int, int, int]] = field(default_factory=list)
 
 
@@ -155,10 +160,12 @@ class McapFile:
             head = file.read(_CHUNK.size)
             if len(head) == _CHUNK.size:
                 self._blocks.append(_Block(at, size, _CHUNK.unpack(head)[0], whole))
-        elif code == MESSAGE_INDEX:
-            channel, length = struct.unpack("<HI", file.read(6))
+        elif code == MESSAGE_INDEX and size >= _INDEX.size:
+            channel, length = _INDEX.unpack(file.read(_INDEX.size))
             if self._blocks and not self._blocks[-1].loose:
                 block = self._blocks[-1]
+                length = min(length, size - _INDEX.size)
+                block.index.append((channel, at + _INDEX.size, length))
                 block.counts = (block.counts or Counter()) + Counter({channel: length // 16})
         elif code in (SCHEMA, CHANNEL, STATISTICS):
             self._describe(code, file.read(size))
@@ -255,6 +262,36 @@ class McapFile:
             elif code in (SCHEMA, CHANNEL):
                 self._describe(code, data[at : at + size])
             at += size
+        expected = block.counts.total() if block.counts and data else len(found)
+        if block.index and Counter(message.channel for message in found) != block.counts and data:
+            found = self._by_index(file, block, data)
+        place = f"{self._path.name}, byte {block.at}"
+        if len(found) < expected:
+            self._faults.leave_out(expected - len(found), DAMAGED, place)
+        elif block.whole and at != len(data) and not block.index:
+            self._faults.leave_out(0, DAMAGED, place)
+        return found
+
+    def _by_index(self, file: BinaryIO, block: _Block, data: bytes) -> list[Stored]:
+        """Messages of a chunk with damaged records: those that are what its index says."""
+        entries = []
+        for channel, at, size in block.index:
+            file.seek(at)
+            content = file.read(size - size % _ENTRY.size)
+            entries += [(at, time_ns, channel) for time_ns, at in _ENTRY.iter_unpack(content)]
+        entries.sort()
+        found = []
+        ends = [at for at, _, _ in entries[1:]] + [len(data)]
+        for (at, time_ns, channel), limit in zip(entries, ends, strict=True):
+            begin = at + _RECORD.size
+            if begin + _MESSAGE.size > limit:
+                continue
+            code, size = _RECORD.unpack_from(data, at)
+            if code == MESSAGE and _MESSAGE.size <= size <= limit - begin:
+                own, _, own_ns, _ = _MESSAGE.unpack_from(data, begin)
+                if (own, own_ns) == (channel, time_ns):
+                    content = data[begin + _MESSAGE.size : begin + size]
+                    found.append(Stored(time_ns, channel, content))
         return found
 
     def _unpacked(self, file: BinaryIO, block: _Block) -> bytes:
@@ -272,14 +309,14 @@ class McapFile:
             return self._lost(block, f"a chunk of {size} bytes packed with '{packed_with}'")
         if not block.whole:
             return unpack_beginning(packed, packed_with) if packed_with else bytes(packed)
-        try:
-            data = bytes(packed)
-            if packed_with:
+        data = bytes(packed)
+        if packed_with:
+            try:
                 data = pa.decompress(packed, size, codec=packed_with, asbytes=True)
-            damaged = bool(checksum) and zlib.crc32(data) != checksum
-        except OSError:
-            damaged = True
-        return self._lost(block, "a damaged chunk") if damaged else data
+            except OSError:
+                return unpack_beginning(packed, packed_with) or self._lost(block, DAMAGED)
+        damaged = bool(checksum) and zlib.crc32(data) != checksum
+        return self._lost(block, "a chunk with a wrong checksum") if damaged else data
 
     def _lost(self, block: _Block, text: str) -> bytes:
         count = block.counts.total() if block.counts else 0

@@ -31,6 +31,10 @@ _MARKS = (
 )
 _NUMBER = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$"
 _DECIMAL_COMMA = r"^[+-]?\d*,\d+$"
+_DECIMALS = {".": r"\d+\.(?:\d{1,2}|\d{4,})", ",": r"\d+,(?:\d{1,2}|\d{4,})"}
+"""Numbers with decimals for certain: three digits may be thousands."""
+_GROUPED = {".": r"[1-9]\d{0,2}(?:\.\d{3})+(?:,\d+)?", ",": r"[1-9]\d{0,2}(?:,\d{3})+(?:\.\d+)?"}
+"""Numbers whose thousands are separated by this mark, if the other one is the decimals'."""
 _EXCEL_LINE = re.compile(r"sep=.?", re.IGNORECASE)
 """A first line that tells Excel the delimiter and is no header."""
 _BLANKS = re.compile(r"(?<=\S)[ \t]+(?=\S)")
@@ -106,6 +110,7 @@ class CsvBody:
         body: All lines below the header, with line feeds.
         header_line: The header's line number, from 1.
         comments: Lines above the header that begin with `#`.
+        repaired: What was changed in the body, empty for nothing.
     """
 
     names: tuple[str, ...]
@@ -113,6 +118,7 @@ class CsvBody:
     body: str
     header_line: int
     comments: tuple[str, ...]
+    repaired: str = ""
 
 
 def split_header(path: Path, expected: str) -> CsvBody:
@@ -141,7 +147,35 @@ def split_header(path: Path, expected: str) -> CsvBody:
         header, body = _BLANKS.sub(";", header), _BLANKS.sub(";", body)
         delimiter = ";"
     names = tuple(name.strip() for name in next(csv.reader([header], delimiter=delimiter)))
-    return CsvBody(names, delimiter, body, header_line, comments)
+    repaired = ""
+    if delimiter != "," or '"' in body:
+        body, repaired = _without_thousands(body, delimiter)
+    return CsvBody(names, delimiter, body, header_line, comments, repaired)
+
+
+def _without_thousands(body: str, delimiter: str) -> tuple[str, str]:
+    """Numbers without the marks between their thousands, and what was done.
+
+    `1.275` is 1275 where decimals have commas, and 1.275 elsewhere; a file with both is left.
+    """
+
+    def values(pattern: str, has_comma: bool = True) -> re.Pattern[str]:
+        if delimiter == "," and has_comma:  # within quotes
+            return re.compile(rf'(?<="){pattern}(?=")')
+        beside = r"\w.:/" if delimiter == "," else r"\w.,:/"
+        return re.compile(rf"(?<![{beside}])[+-]?{pattern}(?![{beside}])")
+
+    for mark, decimal in ((".", ","), (",", ".")):
+        grouped = values(_GROUPED[mark])
+        numbers = grouped.findall(body)
+        of_other, of_same = (values(_DECIMALS[m], m == ",") for m in (decimal, mark))
+        if numbers and of_other.search(body) and not of_same.search(body):
+            plain = [number.replace(mark, "") for number in numbers]
+            parts = grouped.split(body)
+            body = "".join(a + b for a, b in zip(parts, [*plain, ""], strict=True))
+            text = f"{len(numbers)} numbers have marks between thousands"
+            return body, f"{text}: {numbers[0]} is {plain[0]}"
+    return body, ""
 
 
 def first_line(text: str) -> tuple[str, int, tuple[str, ...], str]:
@@ -182,6 +216,8 @@ def read_csv_text(path: Path, expected: str) -> CsvText:
     if first.count(delimiter) == len(names) and first.rstrip().endswith(delimiter):
         body = re.sub(rf"{re.escape(delimiter)}[ \t]*(?=\r?$)", "", body, flags=re.MULTILINE)
     report = InputReport(str(path), "boxes")
+    if found.repaired:
+        report.note(Treatment.REPAIRED, found.repaired)
     return _table(body, names, delimiter, found.header_line, report)
 
 

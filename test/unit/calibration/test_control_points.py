@@ -140,6 +140,27 @@ SPELLINGS: dict[str, str | bytes] = {
 }  # fmt: skip
 
 
+EXCHANGED = str.maketrans(",.", ".,")
+GROUPED = {
+    "points between thousands, decimal commas": text(
+        lambda row: [
+            f"{float(row[0]):,.1f}".translate(EXCHANGED),
+            *(cell.replace(".", ",") for cell in row[1:]),
+        ],
+        HEADER.replace(",", ";"),
+        ";",
+    ),
+    "commas between thousands, in quotes": text(lambda row: [f'"{float(row[0]):,.1f}"', *row[1:]]),
+}
+
+
+@pytest.mark.parametrize("content", GROUPED.values(), ids=GROUPED)
+def test_marks_between_thousands_are_no_decimals(tmp_path: Path, content: str) -> None:
+    points = read(tmp_path, content)
+    assert_same(points)
+    assert "numbers have marks between thousands: 1" in said(points)
+
+
 @pytest.mark.parametrize("content", SPELLINGS.values(), ids=SPELLINGS)
 def test_any_spelling_of_the_same_points_gives_the_same_points(
     tmp_path: Path, content: str | bytes

@@ -133,6 +133,18 @@ def test_a_fault_is_found_and_flags_what_comes_after(
     assert all((rows["flags"] & FLAG_DOUBTFUL).all() for rows in last)
 
 
+@pytest.mark.parametrize("factor", [0.5, 2 / 3, 4 / 3, 1.5, 2.0])
+def test_control_points_of_another_size_than_boxes_and_image_are_named(factor: float) -> None:
+    """A still of a film in another size was clicked: no border and no horizon shows it."""
+    size = round(1920 * factor), round(1080 * factor)
+    near = [(s, rows[rows["height"] >= 25.0 * factor]) for s, rows in each(scaled(factor))]
+    said, projector, _ = findings(near, size)
+    assert "the control points look like those of an image of 1920x1080" in said or (
+        f"the image is {size[0]}x{size[1]}, but the control points reach" in said
+    )
+    assert projector.doubtful
+
+
 SOUND: dict[str, list[tuple[int, Rows]]] = {
     "free traffic": CARS,
     "slow traffic": traffic(6.0),

@@ -151,6 +151,35 @@ def damaged_chunk(made: MadeMcap) -> bytes:
     return bytes(content)
 
 
+def not_packed(made: MadeMcap) -> MadeMcap:
+    made.compression, made.checksum = "", False  # as rosbag2 and rosbags write by default
+    return made
+
+
+def wrong_length(made: MadeMcap) -> bytes:
+    content = bytearray(not_packed(made).content(MESSAGES))
+    content[content.index(MESSAGES[130][2]) - 22 - 8 + 2] ^= 1  # the record's length, 64 KiB more
+    return bytes(content)
+
+
+def short_length(made: MadeMcap) -> bytes:
+    content = bytearray(not_packed(made).content(MESSAGES))
+    content[content.index(MESSAGES[130][2]) - 22 - 8] ^= 0x20
+    return bytes(content)
+
+
+def wrong_length_and_no_index(made: MadeMcap) -> bytes:
+    made.message_index = False
+    return wrong_length(made)
+
+
+def half_zeros(made: MadeMcap) -> bytes:
+    content = bytearray(not_packed(made).content(MESSAGES))
+    begin, end = (content.index(MESSAGES[k][2]) for k in (150, 199))
+    content[begin:end] = bytes(end - begin)
+    return bytes(content)
+
+
 def zeros_in_the_middle(made: MadeMcap) -> bytes:
     content = bytearray(made.content(MESSAGES))
     at = content.index(made.data[4])
@@ -180,7 +209,11 @@ def nothing_behind_the_end(made: MadeMcap) -> bytes:
 @pytest.mark.parametrize(
     ("make", "lost", "sentence"),
     [
-        (damaged_chunk, 100, "100 of 300 messages left out: a damaged chunk"),
+        (damaged_chunk, 100, "100 of 300 messages left out: a chunk with a wrong checksum"),
+        (wrong_length, 1, "1 of 300 messages left out: messages in a damaged chunk"),
+        (short_length, 1, "1 of 300 messages left out: messages in a damaged chunk"),
+        (wrong_length_and_no_index, 70, "messages in a damaged chunk"),
+        (half_zeros, 50, "49 of 300 messages left out: messages in a damaged chunk"),
         (zeros_in_the_middle, 100, "records that can't be read are passed over"),
         (zeros_and_no_index, 200, "records that can't be read are passed over"),
         (zeros_and_no_summary, 200, "has no end"),

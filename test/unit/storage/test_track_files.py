@@ -73,6 +73,24 @@ def assert_same(found: Frames, expected: Frames, but: tuple[str, ...] = ()) -> N
                 assert a[name] == pytest.approx(b[name], abs=1e-4), name
 
 
+@pytest.mark.parametrize(("between", "marks"), [(";", str.maketrans(",.", ".,")), (",", {})])
+def test_marks_between_thousands_are_no_decimals(
+    tmp_path: Path, between: str, marks: dict[int, int]
+) -> None:
+    """1.275 is 1275 where decimals have commas; 1,275 in quotes where they have points."""
+    rows = [[*row[:5], row[5] + 900, *row[6:]] for row in made_rows()]
+    plain, _ = read(tmp_path, csv(rows), image_size=(1920, 1080))
+    grouped = [
+        [*(str(v).translate(marks) for v in row[:5]), f'"{row[5]:,.0f}"'.translate(marks)]
+        + [str(v).translate(marks) for v in row[6:]]
+        for row in rows
+    ]
+    lines = [HEADER.replace(",", between), *(between.join(row) for row in grouped)]
+    found, report = read(tmp_path, "\n".join(lines) + "\n", image_size=(1920, 1080))
+    assert_same(found, plain)
+    assert "numbers have marks between thousands: 1" in said(report)
+
+
 @pytest.fixture
 def clean(tmp_path: Path) -> Frames:
     frames, report = read(tmp_path, csv(made_rows()), image_size=SIZE)
