@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 from xml.etree import ElementTree as Xml
 
 import numpy as np
@@ -20,6 +21,9 @@ from geoorbit_ros.twin.vehicles import FREE, TYPES, add_free_type, add_type, may
 STEP_S = 0.5
 """Length of a step. SUMO's drivers are made for steps up to their reaction time of 1 s (`tau`, SUMO
 user documentation). Chosen: half of it; smaller takes longer, larger brakes late."""
+HEADWAY_S = 1.5
+"""Two vehicles do not arrive in one lane within less: the second takes another lane. Chosen: most
+drivers keep 1 to 2 s; larger moves more out of their lanes, smaller leaves them without room."""
 QUEUE_PERIOD_S = 10.0
 """Between two measurements of queues. Chosen: shorter makes files larger, longer misses short
 queues."""
@@ -62,7 +66,7 @@ def write_forecast(
     measured = {"id": "all", "file": LANES, "excludeEmpty": "false", "withInternal": "0"}
     Xml.SubElement(additional, "laneData", measured | {"begin": "0", "end": f"{start.horizon_s:g}"})
     _save(additional, folder / "forecast.add.xml")
-    _save(_routes(network, start), folder / "forecast.rou.xml")
+    _save(_routes(network, start, scenario), folder / "forecast.rou.xml")
     root = Xml.Element("configuration")
     for name, value in {
         "net-file": "forecast.net.xml",
@@ -99,7 +103,7 @@ def _write_network(path: Path, out: Path, scenario: Scenario) -> None:
     tree.write(out, encoding="utf-8", xml_declaration=True)
 
 
-def _routes(network: RoadNetwork, start: ForecastStart) -> Xml.Element:
+def _routes(network: RoadNetwork, start: ForecastStart, scenario: Scenario) -> Xml.Element:
     root, random = Xml.Element("routes"), np.random.default_rng(start.seed)
     draw, demand = _RouteDraw(network, start.demand, random), start.demand
     step = start.step
@@ -118,7 +122,7 @@ def _routes(network: RoadNetwork, start: ForecastStart) -> Xml.Element:
             departLane=str(network.index[lane]),
             departPos=f"{position:.2f}",
             departSpeed=f"{speed[k]:.2f}",
-            speedFactor=f"{draw.driver(network.edge_id[lane])[1]:.3f}",
+            speedFactor=f"{draw.driver(network.edge_id[lane]).factor:.3f}",
             insertionChecks="none",
         )
     arrivals: list[tuple[float, str]] = []
@@ -128,23 +132,39 @@ def _routes(network: RoadNetwork, start: ForecastStart) -> Xml.Element:
         gaps = random.exponential(1.0, int(expected + 6.0 * np.sqrt(expected) + 10))
         times = np.cumsum(gaps) * 3600.0 / max(flow, 1e-9)
         arrivals += [(time, edge) for time in times.tolist() if time < start.horizon_s]
+    last_s: dict[int, float] = {}
     for number, (time, edge) in enumerate(sorted(arrivals)):
-        kind, factor = draw.driver(edge)
+        driver = draw.driver(edge)
+        lane = "random"
+        seen = driver.edge == edge and network.lane_id[driver.lane] not in scenario.closed
+        if seen and time >= last_s.get(driver.lane, -np.inf) + HEADWAY_S:
+            lane, last_s[driver.lane] = str(network.index[driver.lane]), time
         _vehicle(
             root,
-            draw.onwards(edge, kind),
+            draw.onwards(edge, driver.kind),
             id=f"new{number}",
-            type=TYPES[kind].name + ("" if draw.may_enter(edge, kind) else FREE),
+            type=TYPES[driver.kind].name + ("" if draw.may_enter(edge, driver.kind) else FREE),
             depart=f"{time:.2f}",
-            departLane="random",  # of the open ones; drivers leave it in time
+            # Where it was seen, as fast drivers keep to other lanes than slow ones, or else in any
+            # open one; it leaves it in time.
+            departLane=lane,
             departSpeed="max",
-            speedFactor=f"{factor:.3f}",
+            speedFactor=f"{driver.factor:.3f}",
         )
     return root
 
 
 def _vehicle(root: Xml.Element, edges: list[str], **values: str) -> None:
     Xml.SubElement(Xml.SubElement(root, "vehicle", values), "route", edges=" ".join(edges))
+
+
+class _Driver(NamedTuple):
+    """A vehicle that was seen: its type, speed over the limit, edge and lane."""
+
+    kind: int
+    factor: float
+    edge: str
+    lane: int
 
 
 class _RouteDraw:
@@ -181,13 +201,13 @@ class _RouteDraw:
             route.append(targets[int(self._random.choice(len(targets), p=counts / counts.sum()))])
         return route
 
-    def driver(self, edge: str) -> tuple[int, float]:
-        """Type and speed factor of one of the vehicles that were seen and may drive on an edge."""
-        kinds = self._demand.kinds
-        able = np.flatnonzero(self._enter[edge][kinds])
-        able = able if len(able) else np.arange(len(kinds))
-        k = int(able[int(self._random.integers(len(able)))])
-        return int(kinds[k]), float(self._demand.factors[k])
+    def driver(self, edge: str) -> _Driver:
+        """One of the drivers that were seen and may drive on an edge."""
+        drivers = self._demand.drivers
+        weights = drivers.weights(edge, self._enter[edge][drivers.kinds])
+        k = int(self._random.choice(len(weights), p=weights))
+        factor = float(drivers.factors[k])
+        return _Driver(int(drivers.kinds[k]), factor, drivers.edge[k], int(drivers.lane[k]))
 
 
 def _save(root: Xml.Element, path: Path) -> None:

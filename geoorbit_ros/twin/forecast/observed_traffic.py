@@ -34,6 +34,9 @@ MOVING_MPS = 2.0
 """Only faster vehicles count for the drivers' speeds. Chosen: slower ones stand or queue."""
 FACTOR_BOUNDS = (0.3, 2.0)
 """Of speed over limit. Chosen: slower is a queue, faster a wrong track or a wrong limit."""
+ENOUGH_M = 1000.0
+"""Distance driven on an edge from which on its own drivers are drawn: ten vehicles over 100 m.
+Chosen: larger takes drivers of other roads, smaller repeats a few."""
 TRIM = 0.01
 """Share of positions at either end that are left out. Chosen: the outermost are of single vehicles;
 larger shortens the stretch that is seen."""
@@ -45,6 +48,42 @@ _SAMPLE = np.dtype(
 
 
 @dataclass(frozen=True, slots=True)
+class Drivers:
+    """Vehicles as they were seen driving, one row per vehicle and lane.
+
+    Attributes:
+        edge: (K,) the lane's edge.
+        kinds: (K,) their types, numbers in `TYPES`.
+        factors: (K,) their mean speed over the mean limit, on all edges together.
+        driven_m: (K,) how far they were seen to drive there.
+        lane: (K,) in which lane, numbers of the network.
+    """
+
+    edge: NDArray[np.object_]
+    kinds: NDArray[np.int64]
+    factors: NDArray[np.float64]
+    driven_m: NDArray[np.float64]
+    lane: NDArray[np.int64]
+
+    def weights(self, edge: str, able: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """(K,) chance of each to be the next driver on an edge.
+
+        The distance that it was seen to drive: a track in parts counts once, and a part of a
+        second, whose speed is noise, counts little. Drivers of this edge, if enough were seen, or
+        else of all: one direction may queue while the other is free.
+
+        Args:
+            edge: Where the next driver enters.
+            able: (K,) which ones may drive there.
+        """
+        able = able if able.any() else np.ones(len(able), np.bool_)
+        here = able & (self.edge == edge)
+        chosen = here if self.driven_m[here].sum() >= ENOUGH_M else able
+        weight = np.where(chosen, self.driven_m, 0.0)
+        return weight / weight.sum()
+
+
+@dataclass(frozen=True, slots=True)
 class Demand:
     """Traffic as it was seen.
 
@@ -52,8 +91,7 @@ class Demand:
         time_s: How long it was observed.
         flow_per_h: Vehicles per hour that enter each edge from outside the view.
         turns: For each edge, how many vehicles went on to which edge.
-        kinds: (K,) types of vehicles, numbers in `TYPES`, as often as they were seen.
-        factors: (K,) speed over the limit of each.
+        drivers: Those who were seen.
         edge_flow_per_h: Flow on every edge that was seen: the entering flows, parted by `turns`.
             What enters a junction leaves it.
     """
@@ -61,8 +99,7 @@ class Demand:
     time_s: float
     flow_per_h: dict[str, float]
     turns: Mapping[str, Mapping[str, int]]
-    kinds: NDArray[np.int64]
-    factors: NDArray[np.float64]
+    drivers: Drivers
     edge_flow_per_h: dict[str, float]
 
 
@@ -134,8 +171,8 @@ class ObservedTraffic:
         turns = self._turns(rows, edges)
         after = {target for targets in turns.values() for target in targets}
         roots = _balanced({e: v for e, v in flow.items() if e not in after}, turns, flow)
-        kinds, factors = self._drivers(rows)
-        return Demand(time_s, roots, turns, kinds, factors, flow | _carried_on(roots, turns))
+        drivers = self._drivers(rows)
+        return Demand(time_s, roots, turns, drivers, flow | _carried_on(roots, turns))
 
     def _flow_per_h(self, rows: NDArray[np.void], time_s: float) -> float:
         """Flow of an edge by its rows, in the stretch where most was seen.
@@ -164,16 +201,23 @@ class ObservedTraffic:
                 turns.setdefault(here, Counter())[there] += count
         return turns
 
-    def _drivers(self, rows: NDArray[np.void]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Type and speed factor of each vehicle that was seen driving."""
+    def _drivers(self, rows: NDArray[np.void]) -> Drivers:
+        """Everyone who was seen driving."""
         rows = rows[rows["speed"] > MOVING_MPS]
         if not len(rows):
-            return np.zeros(1, np.int64), np.ones(1)
+            none, one = np.zeros(1, np.int64), np.ones(1)
+            return Drivers(np.array([""], dtype=object), none, one, one, none + NO_LANE)
         _, first, vehicle = np.unique(rows["vehicle"], return_index=True, return_inverse=True)
         limit = np.bincount(vehicle, self._network.speed_mps[rows["lane"]])
-        factor = np.bincount(vehicle, rows["speed"]) / limit
-        kinds = np.clip(rows["kind"][first], 0, len(TYPES) - 1)
-        return kinds, np.clip(factor, *FACTOR_BOUNDS)
+        factor = np.clip(np.bincount(vehicle, rows["speed"]) / limit, *FACTOR_BOUNDS)
+        kind = np.clip(rows["kind"][first], 0, len(TYPES) - 1)
+        by_lane, at = np.unique(
+            np.column_stack((vehicle, rows["lane"])), axis=0, return_inverse=True
+        )
+        driven_m = np.bincount(at.ravel(), rows["speed"]) * SAMPLE_NS * 1e-9
+        edge = np.array(self._network.edge_id, dtype=object)[by_lane[:, 1]]
+        who, lane = by_lane.T
+        return Drivers(edge, kind[who], factor[who], driven_m, lane)
 
 
 def _balanced(

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Iterator
 from pathlib import Path
+from xml.etree import ElementTree as Xml
 
 import numpy as np
 import pytest
@@ -15,8 +16,8 @@ from geoorbit_ros.scenes.network import write_network
 from geoorbit_ros.scenes.road_plan import Road, Start, Straight
 from geoorbit_ros.scenes.roads import place_roads
 from geoorbit_ros.scenes.scene import load_scene
-from geoorbit_ros.twin.forecast.files import ForecastStart
-from geoorbit_ros.twin.forecast.observed_traffic import Demand, ObservedTraffic
+from geoorbit_ros.twin.forecast.files import ForecastStart, write_forecast
+from geoorbit_ros.twin.forecast.observed_traffic import Demand, Drivers, ObservedTraffic
 from geoorbit_ros.twin.forecast.runs import AS_IT_IS, WITH_CHANGES, Forecast, ForecastRun
 from geoorbit_ros.twin.scenario import Scenario, parse_scenario
 from geoorbit_ros.twin.sumo_process import SimulationError
@@ -150,7 +151,40 @@ def test_flows_and_drivers_are_those_that_were_seen(network: RoadNetwork, seen: 
     assert set(demand.turns) == {"first"}
     assert set(demand.turns["first"]) == {"second"}
     limit = network.speed_mps[network.number["first_0"]]
-    assert demand.factors == pytest.approx(SPEED_MPS / limit, rel=0.01)
+    assert demand.drivers.factors == pytest.approx(SPEED_MPS / limit, rel=0.01)
+
+
+def test_the_next_driver_is_one_of_the_same_road_by_the_distance_driven() -> None:
+    """A queue in one direction slows nobody in the other, and a false track hardly counts."""
+    driven_m = np.array([1500.0, 5.0, 1200.0])
+    edge = np.array(["east", "east", "west"], dtype=object)
+    number = np.zeros(3, np.int64)
+    drivers = Drivers(edge, number, np.array([1.0, 0.3, 0.5]), driven_m, number)
+    every, two = np.ones(3, np.bool_), np.array([True, True, False])
+    assert drivers.weights("east", every) == pytest.approx([1500 / 1505, 5 / 1505, 0.0])
+    assert drivers.weights("west", every) == pytest.approx([0.0, 0.0, 1.0])
+    assert drivers.weights("west", two) == pytest.approx([1500 / 1505, 5 / 1505, 0.0])
+    assert drivers.weights("north", every) == pytest.approx(driven_m / 2705.0)
+
+
+def test_vehicles_arrive_in_the_lanes_in_which_they_were_seen(
+    network: RoadNetwork, seen: Seen, tmp_path: Path
+) -> None:
+    """Unless two would arrive in one lane at once, or it is closed."""
+
+    def lanes(closed: list[str]) -> list[str]:
+        name = "closed" if closed else "open"
+        scenario = parse_scenario(closed, [], network, "test")
+        write_forecast(tmp_path / name, network, start(seen), scenario)
+        routes = Xml.parse(tmp_path / name / "forecast.rou.xml").getroot()
+        new = [v for v in routes.iter("vehicle") if v.attrib["id"].startswith("new")]
+        return [v.attrib["departLane"] for v in new]
+
+    seen_in = {str(network.index[lane]) for lane in seen.demand.drivers.lane}
+    found = lanes([])
+    assert set(found) - {"random"} == seen_in
+    assert found.count("random") < 0.5 * len(found)
+    assert set(lanes(["first_0"])).isdisjoint({"0"})
 
 
 def test_broken_tracks_add_no_traffic(network: RoadNetwork, seen: Seen) -> None:
