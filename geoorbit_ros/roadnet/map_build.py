@@ -43,6 +43,7 @@ def edge_patch(
     """
     roads = {way.get("id", ""): (way, tags) for way, tags in roads_of(extract.root)}
     patch = Xml.Element("edges")
+    names = {edge.attrib["id"] for edge in raw.findall("edge")}
     for edge in raw.findall("edge"):
         name = edge.attrib["id"]
         number = name.removeprefix("-").partition("#")[0]
@@ -52,10 +53,16 @@ def edge_patch(
         lanes = sorted(edge.iter("lane"), key=lambda lane: int(lane.attrib["index"]))
         usual = [allowed_classes(lane) for lane in lanes]
         plans = lane_plans(number, tags, not name.startswith("-"), side, usual, counts)
+        # netconvert spreads the lanes of a one-way road about its line, unless it is drawn against
+        # its traffic (oneway=-1).
+        alone = name.startswith("-") and name[1:] not in names
+        where = {"spreadType": "center"} if alone else {}
         if [plan.allowed for plan in plans] == usual:
+            if alone:
+                Xml.SubElement(patch, "edge", where, id=name)
             continue
         outside = int(plans[0].width_m is not None)
-        changed = Xml.SubElement(patch, "edge", id=name, numLanes=str(len(plans)))
+        changed = Xml.SubElement(patch, "edge", where, id=name, numLanes=str(len(plans)))
         for index, plan in enumerate(plans):
             own = index - outside
             there = (

@@ -18,11 +18,24 @@ from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.core.errors import RoadNetworkError
 from geoorbit_ros.core.input_report import InputReport, Treatment
 from geoorbit_ros.roadnet.driving_side import SIDES, MapEvidence, Side
-from geoorbit_ros.roadnet.osm_file import EXPECTED, parse_osm, roads_of, tags_of
+from geoorbit_ros.roadnet.osm_file import EXPECTED, parse_osm, roads_of, set_tags, tags_of
 
 ELE_SHARE = 0.5
 """Heights are used where at least this share of the points of roads have one. Chosen: smaller makes
 cliffs at the points without, larger drops heights that a few points lack."""
+MOST_LANES = 16
+"""A road with more is a slip of the pen: the widest of all (Katy Freeway, Houston) has 13 each way
+with its side roads, and maps draw each carriageway by itself."""
+MOST_KMH = 200.0
+"""A higher limit is a slip of the pen: the highest anywhere is 160 km/h. Chosen: in miles per hour
+it is 322, so that no limit is lost."""
+GAP_DEG = 1.0
+"""Roads with nothing between them over so many degrees (111 km) lie at two places. Chosen: larger
+takes two towns for one place, smaller parts a map along a desert road."""
+_COUNTS = ("lanes", "lanes:forward", "lanes:backward", "lanes:both_ways")
+_LIMITS = ("maxspeed", "maxspeed:forward", "maxspeed:backward")
+_UNITS = {"": 1.0, "km/h": 1.0, "kmh": 1.0, "kph": 1.0, "mph": 1.609, "knots": 1.852}
+_TURNED = ("reversible", "alternating")
 _MINI: dict[str, Side] = {"clockwise": "left", "anticlockwise": "right"}
 """Direction of a mini roundabout (wiki, highway=mini_roundabout), and the side of its traffic."""
 _ORDER = {"node": 1, "way": 2, "relation": 3}
@@ -79,12 +92,14 @@ def read_extract(path: Path, strict: bool = False) -> OsmExtract:
         why = report.remarks[0].sentence(report.total, report.things) if report.remarks else ""
         found = "no road (way with the tag highway)" + (f"; {why}" if why else "")
         raise RoadNetworkError(str(path), found, EXPECTED)
-    report.check(strict, EXPECTED)
+    _check_tags(roads, report)
     places = {
         node.attrib["id"]: (float(node.attrib["lat"]), float(node.attrib["lon"]))
         for node in root.iter("node")
     }
     lines = [np.array([places[nd.attrib["ref"]] for nd in way.iter("nd")]) for way, _ in roads]
+    roads, lines = _at_one_place(root, roads, lines, report)
+    report.check(strict, EXPECTED)
     middle = _middle(np.concatenate(lines))
     metres = [_length_m(line, middle) for line in lines]
     tagged = {
@@ -126,7 +141,22 @@ def _add_drawn_points(root: Xml.Element) -> None:
 
 
 def _drop_bad_nodes(root: Xml.Element, report: InputReport) -> None:
-    """Leave out nodes without a place on earth; their ways lose a point."""
+    """Leave out nodes without a place on earth, whose ways lose a point, and repeated ones."""
+    best: dict[str, Xml.Element] = {}
+    twice = []
+    for node in root.findall("node"):
+        first = best.setdefault(node.get("id", ""), node)
+        if first is node:
+            continue
+        older = node
+        if _version(node) > _version(first):
+            best[node.get("id", "")], older = node, first
+        if any(node.get(name) != first.get(name) for name in ("lat", "lon")):
+            twice.append(f"node {node.get('id')}")
+        root.remove(older)
+    if twice:
+        text = f"{len(twice)} points are in the file at two places; the latest version is used"
+        report.note(Treatment.NOTED, f"{text}, or else the first", twice[0])
     bad = []
     for node in root.findall("node"):
         try:
@@ -201,6 +231,78 @@ def _number_new_ways(root: Xml.Element, report: InputReport) -> None:
     text = "new in an editor, with a negative number; it gets a number of its own"
     example = f"way {roads[0]} is {names[roads[0]]}" if roads else ""
     report.add(Treatment.NOTED, len(roads), text, example)
+
+
+def _check_tags(roads: list[tuple[Xml.Element, dict[str, str]]], report: InputReport) -> None:
+    """Leave out values that no road has; of several values the first is used."""
+    wrong: dict[str, list[str]] = {}
+    for way, tags in roads:
+        before = dict(tags)
+        for key in [k for k in (*_COUNTS, *_LIMITS, "oneway", "driving_side") if k in tags]:
+            value, *others = (part.strip() for part in tags.pop(key).split(";"))
+            told = ["several values, of which the first is used"] if others else []
+            found, fault = _right_value(key, value)
+            if found is not None:
+                tags[key] = found
+            for text in [*told, *([fault] if fault else [])]:
+                wrong.setdefault(text, []).append(f"way {way.get('id')}: {key}={before[key]}"[:80])
+        if tags != before:
+            set_tags(way, tags)
+    for text, places in wrong.items():
+        report.add(Treatment.NOTED, len(places), text, places[0])
+
+
+def _right_value(key: str, value: str) -> tuple[str | None, str]:
+    """A tag's value as it is to be used, None for not at all, and what is wrong with it."""
+    if key in _COUNTS:
+        count = _number(value)
+        if count is None or not 0.0 <= count <= MOST_LANES:
+            return None, "numbers of lanes that no road has are not used"
+        return str(max(int(count), int(count > 0.0))), ""  # 1.5: cars meet with care
+    if key in _LIMITS:
+        unit = value.lower().lstrip("0123456789. ")
+        limit = _number(value[: len(value) - len(unit)])
+        if limit is not None and not 0.0 < limit * _UNITS.get(unit, 1.0) <= MOST_KMH:
+            return None, "speed limits that no road has are not used"
+    elif key == "oneway" and value in _TURNED:
+        return "yes", "direction changes with the hour; built in the direction of its line"
+    elif key == "driving_side" and value.lower() not in SIDES:
+        return None, "neither left nor right, so not used"
+    return value, ""
+
+
+def _number(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+def _at_one_place(
+    root: Xml.Element,
+    roads: list[tuple[Xml.Element, dict[str, str]]],
+    lines: list[NDArray[np.float64]],
+    report: InputReport,
+) -> tuple[list[tuple[Xml.Element, dict[str, str]]], list[NDArray[np.float64]]]:
+    """The roads of the place with most of them; a plane that touches two of them fits neither."""
+    begin = np.array([line[0] for line in lines])
+    kept = np.arange(len(lines))
+    for axis in (0, 1, 0):
+        order = kept[np.argsort(begin[kept, axis])]
+        width = np.cos(np.radians(begin[order[:-1], 0])) if axis else 1.0
+        apart = np.flatnonzero(np.diff(begin[order, axis]) * width > GAP_DEG) + 1
+        kept = np.sort(max(np.split(order, apart), key=lambda part: (len(part), -part.min())))
+    if len(kept) == len(lines):
+        return roads, lines
+    far = [roads[k][0] for k in np.setdiff1d(np.arange(len(lines)), kept)]
+    for way in far:
+        root.remove(way)
+    text = "far from the other roads: a map is of one place"
+    place = ", ".join(
+        f"{value:.3f}" for value in begin[np.setdiff1d(np.arange(len(lines)), kept)[0]]
+    )
+    report.add(Treatment.LEFT_OUT, len(far), text, f"way {far[0].get('id')} at {place}")
+    return [roads[k] for k in kept], [lines[k] for k in kept]
 
 
 def _check_heights(

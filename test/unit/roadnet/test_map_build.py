@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from made_maps import BAVARIA, road
 from made_twin import DATUM, made_network
 
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.cli.main import main
+from geoorbit_ros.roadnet.map_build import build_from_osm
 from geoorbit_ros.roadnet.network import RoadNetwork, load_network
 
 PLACE = Datum(48.0, 11.0)
@@ -135,3 +137,21 @@ def test_a_network_without_projection_is_one_sentence(
     assert not (tmp_path / "out").exists()
     assert main(["map", "build", "--out", str(tmp_path / "out")]) == 2
     assert "exactly one of them" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("lanes", [1, 2, 3])
+def test_a_one_way_road_drawn_against_its_traffic_lies_on_its_line(
+    tmp_path: Path, lanes: int
+) -> None:
+    """oneway=-1: the same lanes as with the line turned round."""
+    middle = {}
+    for oneway, tags in (("-1", {"turn:lanes": "|".join(["through"] * lanes)}), ("yes", {})):
+        extract = road(BAVARIA, {"lanes": str(lanes), "oneway": oneway, **tags})
+        folder = tmp_path / oneway
+        folder.mkdir()
+        built = build_from_osm(extract.write(tmp_path / "a.osm"), folder, BAVARIA)
+        network = built.network
+        outside = np.flatnonzero(~network.internal)
+        assert len(outside) == lanes
+        middle[oneway] = np.mean([network.line(int(k)).mean(axis=0) for k in outside], axis=0)
+    assert middle["-1"] == pytest.approx(middle["yes"], abs=0.01)

@@ -78,6 +78,39 @@ GOOD: dict[str, tuple[bytes | str, tuple[str, ...]]] = {
         TEXT.replace("<node", "<note>data is ODbL</note><meta osm_base='x'/><node", 1),
         (),
     ),
+    "a point at two places": (
+        put_before_way('<node id="1" lat="12.0" lon="77.0"/>'),
+        ("1 points are in the file at two places", "node 1"),
+    ),
+    "a road far away": (
+        put_before_way(
+            '<node id="8" lat="12.0" lon="77.0"/><node id="9" lat="12.1" lon="77.0"/>'
+        ).replace("</osm>", f'<way id="11"><nd ref="8"/><nd ref="9"/>{HIGHWAY}</way></osm>'),
+        ("1 of 2 roads left out: far from the other roads", "way 11 at 12.000, 77.000"),
+    ),
+    "a thousand lanes": (
+        TEXT.replace('v="4"', 'v="1000"'),
+        ("numbers of lanes that no road has are not used (first: way 10: lanes=1000)",),
+    ),
+    "two numbers of lanes": (
+        TEXT.replace('v="4"', 'v="4;3"'),
+        ("several values, of which the first is used (first: way 10: lanes=4;3)",),
+    ),
+    "a limit of 9999": (
+        TEXT.replace(HIGHWAY, HIGHWAY + '<tag k="maxspeed" v="9999"/>'),
+        ("speed limits that no road has are not used (first: way 10: maxspeed=9999)",),
+    ),
+    "a limit in miles": (TEXT.replace(HIGHWAY, HIGHWAY + '<tag k="maxspeed" v="85 mph"/>'), ()),
+    "no limit": (TEXT.replace(HIGHWAY, HIGHWAY + '<tag k="maxspeed" v="none"/>'), ()),
+    "a lane and a half": (TEXT.replace('v="4"', 'v="1.5"'), ()),
+    "a road of both directions by turns": (
+        TEXT.replace(HIGHWAY, HIGHWAY + '<tag k="oneway" v="reversible"/>'),
+        ("direction changes with the hour",),
+    ),
+    "a driving side of no meaning": (
+        TEXT.replace(HIGHWAY, HIGHWAY + '<tag k="driving_side" v="links"/>'),
+        ("neither left nor right, so not used (first: way 10: driving_side=links)",),
+    ),
     "a remark": (
         TEXT.replace("</osm>", "<remark>runtime error: Query timed out in 'query'</remark></osm>"),
         ("roads may be missing: runtime error: Query timed out",),
