@@ -8,7 +8,7 @@ CSVSink writes), the upper left corner and a size (`left,top,width,height`), or 
 from __future__ import annotations
 
 import re
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +42,11 @@ _STEP_S = (0.005, 2.0)
 """Usual steps between images: 200 to 0.5 per second. Numbers whose steps are such in milliseconds
 (5 to 2000) or less would as seconds be one image in five seconds or fewer: that shows no
 traffic."""
+_TIME = r"(?P<parts>\d{1,2}(?::[0-5]?\d){1,2}(?:[.,]\d+)?)\s*(?P<half>[AaPp]\.?[Mm]\.?)?"
+_CLOCK = re.compile(_TIME)
+_SPREADSHEET = re.compile(rf"(\d{{1,4}})([-/.])(\d{{1,2}})[-/.](\d{{2,4}}),?[ T]+(?P<time>{_TIME})")
+_MIDNIGHT_GAP_NS = 6 * 3600 * 10**9
+"""Times of day with so long a gap between them are those before and after midnight."""
 _FEWEST_STEPS = 10
 """Fewer say nothing of the unit. Chosen: a recording of lanes has hundreds."""
 _NAMED_UNIT = re.compile(
@@ -119,22 +124,74 @@ def _exact(text: pa.Array, unit: str, seconds: NDArray[np.float64]) -> NDArray[n
 
 
 def _from_dates(text: pa.Array, report: InputReport) -> NDArray[np.int64]:
-    """Dates and times in ISO 8601; each distinct text is read once."""
+    """Dates and times, or times of day; each distinct text is read once."""
     encoded = text.dictionary_encode()
-    stamps = np.full(len(encoded.dictionary), UNKNOWN_NS)
+    words = [word.strip() for word in encoded.dictionary.to_pylist()]
+    stamps = np.full(len(words), UNKNOWN_NS)
     local = False
-    for k, word in enumerate(encoded.dictionary.to_pylist()):
-        try:
-            moment = datetime.fromisoformat(word.replace(",", "."))
-        except ValueError:
-            continue
-        if moment.tzinfo is None:
-            local, moment = True, moment.replace(tzinfo=UTC)
-        whole = int(moment.replace(microsecond=0).timestamp())
-        stamps[k] = whole * 10**9 + moment.microsecond * 1000
+    for k, word in enumerate(words):
+        moment = _moment(word)
+        if moment is not None:
+            if moment.tzinfo is None:
+                local, moment = True, moment.replace(tzinfo=UTC)
+            whole = int(moment.replace(microsecond=0).timestamp())
+            stamps[k] = whole * 10**9 + moment.microsecond * 1000
     if local:
         report.note(Treatment.REPAIRED, "times name no time zone; they are taken as UTC")
+    if (stamps < 0).all():
+        stamps = _times_of_day(words)
+        if (stamps >= 0).any():
+            report.note(Treatment.REPAIRED, "times have no date; they count from midnight")
     return stamps[np.array(encoded.indices, dtype=np.intp)]
+
+
+def _moment(word: str) -> datetime | None:
+    """A date with a time: ISO 8601, or as spreadsheets write them."""
+    try:
+        return datetime.fromisoformat(word.replace(",", "."))
+    except ValueError:
+        found = _SPREADSHEET.fullmatch(word)
+    if found is None:
+        return None
+    first, mark, second, third = found.group(1, 2, 3, 4)
+    if len(first) == 4:
+        year, month, day = first, second, third
+    elif mark == "." or int(first) > 12:
+        day, month, year = first, second, third
+    else:  # in the middle of a recording, whether it is March 4th or April 3rd changes nothing
+        month, day, year = first, second, third
+    seconds = _seconds(found["time"], with_date=True)
+    try:
+        date = datetime(int(year) + (2000 if len(year) == 2 else 0), int(month), int(day))
+    except ValueError:
+        return None
+    return None if seconds is None else date + timedelta(seconds=seconds)
+
+
+def _times_of_day(words: list[str]) -> NDArray[np.int64]:
+    """Nanoseconds since midnight, the second day's after it, `UNKNOWN_NS` for what is none."""
+    seconds = [_seconds(word) for word in words]
+    stamps = np.array([UNKNOWN_NS if s is None else round(s * 1e9) for s in seconds], np.int64)
+    known = np.unique(stamps[stamps >= 0])
+    gap = np.diff(known)
+    if len(gap) and gap.max() > _MIDNIGHT_GAP_NS:
+        early = (stamps >= 0) & (stamps <= known[int(np.argmax(gap))])
+        stamps[early] += 24 * 3600 * 10**9
+    return stamps
+
+
+def _seconds(word: str, with_date: bool = False) -> float | None:
+    """Seconds since midnight; two numbers are minutes and seconds, but hours behind a date."""
+    found = _CLOCK.fullmatch(word)
+    if found is None:
+        return None
+    parts = [float(part.replace(",", ".")) for part in found["parts"].split(":")]
+    half = (found["half"] or "").lower()[:1]
+    if len(parts) == 2 and (half or with_date):
+        parts.append(0.0)
+    if half:
+        parts[0] = parts[0] % 12 + (12 if half == "p" else 0)
+    return float(sum(part * 60.0**k for k, part in enumerate(reversed(parts))))
 
 
 NAMES: dict[str, tuple[str, ...]] = {

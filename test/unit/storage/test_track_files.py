@@ -185,6 +185,25 @@ TIMES: dict[str, tuple[Callable[[float], object], float, str]] = {
         START.timestamp(),
         "as UTC",
     ),
+    "a date of a spreadsheet": (
+        lambda t: (START + timedelta(seconds=t)).strftime("%d.%m.%Y %H:%M:%S.%f"),
+        START.timestamp(),
+        "as UTC",
+    ),
+    "a date and a time of twelve hours": (
+        lambda t: (START + timedelta(seconds=t)).strftime("%m/%d/%Y %I:%M:%S.%f %p"),
+        START.timestamp(),
+        "as UTC",
+    ),
+    "a time of day": (lambda t: f"08:59:{58.0 + t:06.3f}", 32_398.0, "no date"),
+    "times around midnight": (
+        lambda t: (datetime(2026, 1, 1, 23, 59, 59, 600_000) + timedelta(seconds=t)).strftime(
+            "%H:%M:%S.%f"
+        ),
+        86_399.6,
+        "no date",
+    ),
+    "minutes and seconds": (lambda t: f"3:{7.0 + t:04.1f}", 187.0, "no date"),
     "before zero": (lambda t: t - 5.0, 0.0, "begin at -5 s"),
 }  # fmt: skip
 
