@@ -1,8 +1,9 @@
-"""Tracks in JSON: OTVision's `.ottrk`, supervision's JSONSink, Ultralytics' results.
+"""Tracks in JSON: OTVision's `.ottrk`, supervision's JSONSink, Ultralytics' results, COCO.
 
 OTVision compresses its files with bzip2. Ultralytics' `to_json()` gives one list of objects per
 image: such lists are read one after another, in a list, or one per line. Sources: OTVision's
-`dataformat.py`, supervision 0.30 `json_sink.py`, the documentation of Ultralytics' `Results`.
+`dataformat.py`, supervision 0.30 `json_sink.py`, the documentation of Ultralytics' `Results`,
+COCO's "data format" and "results format" (cocodataset.org), with a track's id beside each box.
 """
 
 from __future__ import annotations
@@ -24,8 +25,23 @@ from geoorbit_ros.storage.tracks.csv_text import decode
 from geoorbit_ros.storage.tracks.raw_tracks import RawTracks
 
 _BZIP2 = b"BZh"
-_FRAME_KEYS = ("frame", "frame_index", "frame_id", "frame_number", "frame_num", "frame_idx")
+_FRAME_KEYS = (
+    "frame", "frame_index", "frame_id", "frame_number", "frame_num", "frame_idx", "image_id",
+)  # fmt: skip
+_COCO_NAMES = {
+    1: "person",
+    2: "bicycle",
+    3: "car",
+    4: "motorcycle",
+    6: "bus",
+    7: "train",
+    8: "truck",
+}
+"""COCO's own category numbers of what is seen on roads; detectors count the same classes from 0."""
 _NS = 10**9
+NO_CORNERS_SHARE = 0.2
+"""Where more boxes than this have their right side left of the left one, the numbers are no
+corners. Chosen: of boxes with sizes it is nearly all, of corners the faulty ones."""
 
 
 class OtVision:
@@ -75,10 +91,10 @@ class OtVision:
 
 
 class JsonBoxes:
-    """`TrackFormat` for JSON written by supervision's JSONSink or from Ultralytics' results."""
+    """`TrackFormat` for JSON of supervision's JSONSink, of Ultralytics' results, or of COCO."""
 
     name = "JSON"
-    expected = "JSON of supervision's JSONSink or of Ultralytics' results, with track ids"
+    expected = "JSON of supervision's JSONSink, of Ultralytics' results, or of COCO, with track ids"
 
     def recognises(self, path: Path, head: bytes) -> bool:
         """Whether it begins as a list or an object."""
@@ -87,21 +103,74 @@ class JsonBoxes:
     def read(self, path: Path, columns: dict[str, str]) -> RawTracks:
         """See `TrackFormat.read`; there are no columns."""
         place, boxes = str(path), BoxList()
+        content = _load(path, self.expected)
+        images = _coco_images(content)
+        rows = [*_rows(content)]
+        coco = bool(images) or any("category_id" in row for _, row in rows)
+        no_corners = sum(not _are_corners(row) for _, row in rows)
+        corner_and_size = coco or no_corners > NO_CORNERS_SHARE * len(rows)
+        name_of = _coco_names(content, rows)
         unnumbered = 0
-        for number, row in _rows(_load(path, self.expected)):
+        for number, row in rows:
             frame = next((row[key] for key in _FRAME_KEYS if key in row), number)
+            frame = images.get(frame, frame) if isinstance(frame, int | str) else frame
             unnumbered += frame is None
-            corners = _corners(row)
-            identity = row.get("tracker_id", row.get("track_id", row.get("id")))
             kind = row.get("class_name", row.get("name", row.get("class_id", row.get("class"))))
-            boxes.add(frame, identity, kind, row.get("confidence", row.get("conf")), corners)
+            kind = (
+                name_of.get(row.get("category_id"), row.get("category_id"))
+                if kind is None
+                else kind
+            )
+            score = next((row[key] for key in ("confidence", "conf", "score") if key in row), None)
+            identity = row.get("tracker_id", row.get("track_id", row.get("instance_id")))
+            if identity is None and not coco:  # in COCO it is the box's own
+                identity = row.get("id")
+            boxes.add(frame, identity, kind, score, _corners(row, corner_and_size))
         if not boxes.frame:
             raise InputFileError(place, "no boxes", self.expected)
         if unnumbered == len(boxes.frame):
             found = "boxes that don't say in which image they are"
             expected = f"a key {' or '.join(_FRAME_KEYS[:2])} (custom data of JSONSink)"
             raise InputFileError(place, found, expected)
-        return boxes.raw(self.name, place)
+        raw = boxes.raw(self.name, place)
+        raw.image_size = _coco_size(content)
+        if coco:
+            text = "COCO's boxes: x, y are the upper left corner, categories are COCO's"
+            raw.report.note(Treatment.NOTED, text)
+        elif corner_and_size:
+            text = "bbox can't be corners: x, y, width, height from the upper left corner"
+            raw.report.note(Treatment.REPAIRED, text)
+        return raw
+
+
+def _coco_images(content: Any) -> dict[int | str, object]:
+    """Frame of each image by its id, for a file in COCO's data format."""
+    listed = content.get("images") if isinstance(content, Mapping) else None
+    images = [image for image in listed or () if isinstance(image, Mapping) and "id" in image]
+    keys = [key for key in _FRAME_KEYS if images and all(key in image for image in images)]
+    if keys:
+        return {image["id"]: image[keys[0]] for image in images}
+    names = sorted(images, key=lambda image: (str(image.get("file_name", "")), str(image["id"])))
+    return {image["id"]: number for number, image in enumerate(names, 1)}
+
+
+def _coco_size(content: Any) -> tuple[int, int] | None:
+    """Size of the images, of a file in COCO's data format."""
+    images = content.get("images") if isinstance(content, Mapping) else None
+    first = images[0] if isinstance(images, list) and images else None
+    return as_size(first.get("width"), first.get("height")) if isinstance(first, Mapping) else None
+
+
+def _coco_names(content: Any, rows: list[tuple[int | None, Mapping[str, Any]]]) -> dict[Any, str]:
+    """Names of categories by their numbers: the file's own, or COCO's.
+
+    Programs write COCO's numbers (car 3) or those of detectors (car 2); cars are the most common.
+    """
+    own = content.get("categories") if isinstance(content, Mapping) else None
+    if isinstance(own, list):
+        return {c["id"]: str(c.get("name")) for c in own if isinstance(c, Mapping) and "id" in c}
+    numbers = [row.get("category_id") for _, row in rows]
+    return _COCO_NAMES if numbers.count(3) >= numbers.count(2) else {}
 
 
 def _part(content: Mapping[str, Any], *names: str) -> Mapping[str, Any]:
@@ -137,7 +206,8 @@ def _rows(content: Any) -> Iterable[tuple[int | None, Mapping[str, Any]]]:
     """All objects with a box, with the number of the image where lists count images."""
     if isinstance(content, Mapping):
         inner = next(
-            (content[k] for k in ("detections", "predictions", "results", "frames", "data")
+            (content[k] for k in ("detections", "predictions", "results", "frames", "data",
+                                  "annotations")
              if isinstance(content.get(k), list | Mapping)), None,
         )  # fmt: skip
         if inner is not None:
@@ -165,10 +235,29 @@ def _rows(content: Any) -> Iterable[tuple[int | None, Mapping[str, Any]]]:
             yield from ((named, row) for row in rows if isinstance(row, Mapping))
 
 
-def _corners(row: Mapping[str, Any]) -> tuple[object, object, object, object]:
-    box = row.get("box", row.get("bbox", row.get("xyxy", row)))
+def _box(row: Mapping[str, Any]) -> Any:
+    return row.get("box", row.get("bbox", row.get("xyxy", row)))
+
+
+def _are_corners(row: Mapping[str, Any]) -> bool:
+    """Whether a box of four numbers may be left, top, right, bottom; True for other boxes."""
+    box = _box(row)
+    if not isinstance(box, list | tuple) or len(box) != 4:
+        return True
+    left, top, right, bottom = (as_number(value) for value in box)
+    return not (right < left or bottom < top)
+
+
+def _corners(
+    row: Mapping[str, Any], corner_and_size: bool
+) -> tuple[object, object, object, object]:
+    """Left, top, right, bottom; lists are that, or the upper left corner with the size."""
+    box = _box(row)
     if isinstance(box, list | tuple) and len(box) == 4:
-        return (box[0], box[1], box[2], box[3])
+        if not corner_and_size:
+            return (box[0], box[1], box[2], box[3])
+        left, top, width, height = (as_number(value) for value in box)
+        return (left, top, left + width, top + height)
     if not isinstance(box, Mapping):
         return (None, None, None, None)
     for names in (("x1", "y1", "x2", "y2"), ("x_min", "y_min", "x_max", "y_max")):

@@ -78,9 +78,17 @@ def _lines(text: str) -> list[tuple[int, list[str]]]:
     for number, line in enumerate(text.splitlines(), 1):
         stripped = line.strip().rstrip(",;")
         if stripped and not stripped.startswith("#"):
-            values = re.split(r"\s*[,;]\s*|\s+", stripped)
-            found.append((number, values))
+            found.append((number, _values(stripped)))
     return found
+
+
+def _values(line: str) -> list[str]:
+    """The values of a line; a comma is a decimal one between semicolons and tabs."""
+    for delimiter in (";", "\t"):
+        values = [value.strip() for value in line.split(delimiter)]
+        if len(values) >= MIN_VALUES and "," in line:
+            return [value.replace(",", ".") for value in values]
+    return re.split(r"\s*[,;]\s*|\s+", line)
 
 
 def _numeric(values: list[str]) -> bool:

@@ -561,8 +561,31 @@ ULTRALYTICS = [
 MOT_FROM_0 = "\n".join(
     f"{int(frame) - 1},{rest}" for frame, rest in (line.split(",", 1) for line in MOT.split("\n"))
 )
+COCO = [
+    {
+        "image_id": k + 1, "category_id": 3, "score": s, "track_id": i, "id": 1000 + 3 * k + i,
+        "bbox": [x - w / 2, y - h / 2, w, h],
+    }
+    for i, _, k, _, s, x, y, w, h in made_rows()
+]  # fmt: skip
+COCO_DATA = {
+    "images": [{"id": k + 101, "file_name": f"{k:06}.jpg", "width": 640, "height": 480}
+               for k in range(12)],
+    "categories": [{"id": 1, "name": "car"}],
+    "annotations": [row | {"image_id": row["image_id"] + 100, "category_id": 1} for row in COCO],
+}  # fmt: skip
+MOT_WITH_COMMAS = MOT.replace(",", ";").replace(".", ",")
 FORMATS: dict[str, tuple[str | bytes, tuple[str, ...]]] = {
     "MOTChallenge": (MOT, ()),
+    "MOTChallenge with semicolons and decimal commas": (MOT_WITH_COMMAS, ()),
+    "MOTChallenge with tabs and decimal commas": (MOT_WITH_COMMAS.replace(";", "\t"), ()),
+    "COCO results": (json.dumps(COCO), ()),
+    "COCO results with detectors' numbers": (
+        json.dumps([row | {"category_id": 2} for row in COCO]), ()),
+    "COCO data": (json.dumps(COCO_DATA), ()),
+    "JSON with corner and size": (
+        json.dumps([{"frame": r["image_id"], "class": 2, "conf": r["score"], "id": r["track_id"],
+                     "bbox": r["bbox"]} for r in COCO]), ()),
     "MOTChallenge with blanks": (MOT.replace(",", " "), ()),
     "MOTChallenge from frame 0": (MOT_FROM_0, ()),
     "KITTI": (KITTI, ()),
