@@ -25,10 +25,11 @@ from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE, TRACK_DTYPE
 REPOSITORY = Path(__file__).parents[2]
 
 SHORTER = {
+    "scene render off_ramp_diverge --duration 60": "scene render off_ramp_diverge --duration 12",
     "--duration 60": "--duration 20",
     "--size 1280x720 --fps 25": "--size 640x360 --fps 10",
     "--size 960x540": "--size 640x360",
-    "scene render on_ramp_merge --size": "scene render on_ramp_merge --duration 20 --size",
+    "scene render on_ramp_merge --size": "scene render on_ramp_merge --duration 12 --size",
     "--rounds 20": "--rounds 1 --workers 1",
     "--strategy cautious": "--rounds 1 --workers 1 --strategy cautious",
     "--net area/": "--net out/camera/",  # the pages' area has no camera
@@ -46,7 +47,7 @@ NOT_HERE = {
 }
 
 SCENE = "scene run on_ramp_merge --duration 20 --seed 1 --out out/camera"
-FILM = "scene render off_ramp_diverge --duration 20 --size 640x360 --fps 10 --out out/film"
+FILM = "scene render off_ramp_diverge --duration 12 --size 640x360 --fps 10 --out out/film"
 LANES = (
     "lanes --tracks out/camera/tracks.csv --calibration out/camera/calibration.csv"
     " --out lanes.geojson"
