@@ -145,13 +145,13 @@ def _drop_bad_nodes(root: Xml.Element, report: InputReport) -> None:
     best: dict[str, Xml.Element] = {}
     twice = []
     for node in root.findall("node"):
-        first = best.setdefault(node.get("id", ""), node)
-        if first is node:
+        known = best.setdefault(node.get("id", ""), node)
+        if known is node:
             continue
         older = node
-        if _version(node) > _version(first):
-            best[node.get("id", "")], older = node, first
-        if any(node.get(name) != first.get(name) for name in ("lat", "lon")):
+        if _version(node) > _version(known):
+            best[node.get("id", "")], older = node, known
+        if any(node.get(name) != known.get(name) for name in ("lat", "lon")):
             twice.append(f"node {node.get('id')}")
         root.remove(older)
     if twice:

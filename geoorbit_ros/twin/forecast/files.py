@@ -135,10 +135,10 @@ def _routes(network: RoadNetwork, start: ForecastStart, scenario: Scenario) -> X
     last_s: dict[int, float] = {}
     for number, (time, edge) in enumerate(sorted(arrivals)):
         driver = draw.driver(edge)
-        lane = "random"
+        depart_lane = "random"
         seen = driver.edge == edge and network.lane_id[driver.lane] not in scenario.closed
         if seen and time >= last_s.get(driver.lane, -np.inf) + HEADWAY_S:
-            lane, last_s[driver.lane] = str(network.index[driver.lane]), time
+            depart_lane, last_s[driver.lane] = str(network.index[driver.lane]), time
         _vehicle(
             root,
             draw.onwards(edge, driver.kind),
@@ -147,7 +147,7 @@ def _routes(network: RoadNetwork, start: ForecastStart, scenario: Scenario) -> X
             depart=f"{time:.2f}",
             # Where it was seen, as fast drivers keep to other lanes than slow ones, or else in any
             # open one; it leaves it in time.
-            departLane=lane,
+            departLane=depart_lane,
             departSpeed="max",
             speedFactor=f"{driver.factor:.3f}",
         )

@@ -80,7 +80,7 @@ class Drivers:
         here = able & (self.edge == edge)
         chosen = here if self.driven_m[here].sum() >= ENOUGH_M else able
         weight = np.where(chosen, self.driven_m, 0.0)
-        return weight / weight.sum()
+        return np.asarray(weight / weight.sum())
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,7 +214,8 @@ class ObservedTraffic:
         by_lane, at = np.unique(
             np.column_stack((vehicle, rows["lane"])), axis=0, return_inverse=True
         )
-        driven_m = np.bincount(at.ravel(), rows["speed"]) * SAMPLE_NS * 1e-9
+        travelled = np.bincount(at.ravel(), rows["speed"]) * SAMPLE_NS * 1e-9
+        driven_m = np.asarray(travelled, dtype=np.float64)
         edge = np.array(self._network.edge_id, dtype=object)[by_lane[:, 1]]
         who, lane = by_lane.T
         return Drivers(edge, kind[who], factor[who], driven_m, lane)

@@ -8,6 +8,7 @@ import re
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -561,7 +562,7 @@ ULTRALYTICS = [
 MOT_FROM_0 = "\n".join(
     f"{int(frame) - 1},{rest}" for frame, rest in (line.split(",", 1) for line in MOT.split("\n"))
 )
-COCO = [
+COCO: list[dict[str, Any]] = [
     {
         "image_id": k + 1, "category_id": 3, "score": s, "track_id": i, "id": 1000 + 3 * k + i,
         "bbox": [x - w / 2, y - h / 2, w, h],
