@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from geoorbit_ros.calibration.datum import Datum
     from geoorbit_ros.calibration.plane import Homography
     from geoorbit_ros.cli.camera_run import CameraJob
 
@@ -69,7 +70,7 @@ def add(
 
     check_new_folder(out, overwrite=replace)
     check_new_camera(fleet, camera_id, replace=replace)
-    plane = load_calibration(calibration, datum, strict=strict)
+    plane = load_calibration(calibration, datum or _known_datum(fleet, camera_id), strict=strict)
     watched = ImageOptions(None, duration, "", LeftOut(), password_file)
     with (
         prepared_run(source, out, watched, model, DetectorSettings(), resume=None) as (images, run),
@@ -104,6 +105,15 @@ def remove(
 
     left = remove_camera(fleet, camera_id)
     say(f"Removed {camera_id} from {fleet}; it has {', '.join(c.id for c in left.cameras)}.")
+
+
+def _known_datum(fleet: Path, camera_id: str) -> Datum | None:
+    """A camera that is checked again keeps its origin: its map and recordings stay in place."""
+    from geoorbit_ros.calibration.datum import Datum
+    from geoorbit_ros.fleet.fleet_io import datum_of
+
+    place = datum_of(fleet, camera_id)
+    return None if place is None else Datum(place.latitude_deg, place.longitude_deg)
 
 
 def _entry(

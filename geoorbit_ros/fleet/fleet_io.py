@@ -13,7 +13,7 @@ from geoorbit_ros.core.addresses import masked_text
 from geoorbit_ros.core.errors import InputFileError, ParameterError
 from geoorbit_ros.core.input_report import InputReport, Treatment
 from geoorbit_ros.core.resources import file_or_shipped
-from geoorbit_ros.fleet.fleet_file import IDENTIFIER, SERVICE_MODELS, Camera, Fleet
+from geoorbit_ros.fleet.fleet_file import IDENTIFIER, SERVICE_MODELS, Camera, Fleet, Position
 from geoorbit_ros.parameters import nearest
 from geoorbit_ros.storage.atomic import atomic_output
 from geoorbit_ros.storage.yaml_file import YamlText, read_text, read_yaml
@@ -115,11 +115,18 @@ def fleet_name(file: Path) -> str:
     return name if re.match(IDENTIFIER, name) else f"fleet_{name}"
 
 
+FOUND_KEYS = (
+    "id", "source", "calibration", "image_size", "datum", "model", "password_file",
+    "password_variable",
+)  # fmt: skip
+"""What `add_camera` is told of a camera; the other keys are set by hand."""
+
+
 def add_camera(file: Path, entry: Mapping[str, object], *, replace: bool = False) -> Fleet:
     """Add an entry after the last camera of a fleet file, or write a new file.
 
-    Comments and order of the file stay. The result is read back before it replaces the file. A new
-    fleet is named after its file.
+    Comments and order of the file stay, and so do the keys of a replaced camera that are set by
+    hand. The result is read back before it replaces the file. A new fleet is named after its file.
 
     Args:
         file: The fleet file.
@@ -180,6 +187,12 @@ def check_new_camera(file: Path, camera_id: str, *, replace: bool = False) -> No
         raise InputFileError(str(file), f"camera '{camera_id}' is there already", expected)
 
 
+def datum_of(file: Path, camera_id: str) -> Position | None:
+    """Origin of a camera's map as a fleet file says; None without file, camera or such a key."""
+    cameras = load_fleet(file)[0].cameras if file.exists() else ()
+    return next((c.datum for c in cameras if c.id == camera_id), None)
+
+
 def relative(path: Path, file: Path) -> str:
     """A path as a fleet file names it."""
     return os.path.relpath(path.absolute(), file.absolute().parent)
@@ -198,9 +211,37 @@ def _exchanged(text: str, camera_id: str, entry: Mapping[str, object] | None) ->
     cameras, lines = _cameras(text)
     item = next(node for node in cameras.value if camera_id == _id_of(node))
     start, end = _span(item, lines)
-    indent = " " * cameras.start_mark.column
-    new = [] if entry is None else [_item(entry, indent)]
+    new: list[str] = []
+    if entry is not None and item.flow_style:
+        old = yaml.safe_load("".join(lines[start:end]))[0]
+        kept = {key: value for key, value in old.items() if key not in FOUND_KEYS}
+        new = [_item(dict(entry) | kept, " " * cameras.start_mark.column)]
+    elif entry is not None:
+        new = _merged(item, lines, end, entry)
     return "".join([*lines[:start], *new, *lines[end:]])
+
+
+def _merged(
+    item: yaml.MappingNode, lines: list[str], end: int, entry: Mapping[str, object]
+) -> list[str]:
+    """Lines of a camera with other values: keys set by hand, comments and order stay."""
+    column = item.start_mark.column
+    begins = [key.start_mark.line for key, _ in item.value]
+    new: list[str] = []
+    for (key, value), begin, stop in zip(item.value, begins, [*begins[1:], end], strict=True):
+        own = lines[begin:stop]
+        own[0] = " " * column + own[0][column:]  # without the dash
+        changed = yaml.safe_load(yaml.serialize(value)) != entry.get(key.value)
+        if key.value in FOUND_KEYS and changed:
+            comments = [line for line in own if line.strip().startswith("#")]
+            given = {key.value: entry[key.value]} if key.value in entry else {}
+            own = [*_block(given, " " * column), *comments]
+        new += own
+    there = {key.value for key, _ in item.value}
+    new += _block({k: v for k, v in entry.items() if k not in there}, " " * column)
+    dash = lines[begins[0]].index("-")
+    new[0] = " " * dash + "-" + new[0][dash + 1 :]
+    return new
 
 
 def _cameras(text: str) -> tuple[yaml.SequenceNode, list[str]]:
@@ -229,6 +270,17 @@ def _span(camera: yaml.MappingNode, lines: list[str]) -> tuple[int, int]:
 
 
 def _item(entry: Mapping[str, object], indent: str) -> str:
-    body = yaml.safe_dump(dict(entry), sort_keys=False, allow_unicode=True, default_flow_style=None)
-    first, *rest = body.splitlines()
-    return "".join([f"{indent}- {first}\n", *(f"{indent}  {line}\n" for line in rest)])
+    first, *rest = _block(entry, f"{indent}  ")
+    return "".join([f"{indent}- {first.lstrip()}", *rest])
+
+
+def _block(values: Mapping[str, object], indent: str) -> list[str]:
+    """Lines of keys with their values."""
+    if not values:
+        return []
+    text = yaml.safe_dump(
+        dict(values), sort_keys=False, allow_unicode=True, default_flow_style=None
+    )
+    if text.startswith("{"):  # a single key
+        text = yaml.safe_dump(dict(values), allow_unicode=True, default_flow_style=False)
+    return [f"{indent}{line}\n" for line in text.splitlines()]

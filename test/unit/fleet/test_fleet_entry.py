@@ -8,6 +8,7 @@ from geoorbit_ros.core.errors import InputFileError, ParameterError
 from geoorbit_ros.fleet.fleet_io import (
     add_camera,
     check_new_camera,
+    datum_of,
     relative,
     remove_camera,
 )
@@ -113,6 +114,59 @@ def test_a_camera_replaced_keeps_its_place_and_the_lines_of_the_others(
     north = [line for line in once.splitlines() if "north" in line or "lane_drop" in line]
     assert all(line in file.read_text().splitlines() for line in north)
     assert "s_curve" not in file.read_text()
+
+
+BY_HAND = """\
+name: road
+cameras:
+  # the bridge
+  - id: one  # the first
+    model: old.onnx
+    # the film of May
+    source: scene:s_curve
+    parameters:
+      tracker: {max_gap_s: 2.0}  # cars stop here
+    enabled: false
+    datum: {latitude_deg: 43.0, longitude_deg: -89.0}
+
+  # the next one
+  - id: two
+    source: scene:lane_drop
+"""
+
+
+ID_LATER = BY_HAND.replace(
+    "  - id: one  # the first\n    model: old.onnx\n", "  -   model: old.onnx\n"
+)
+ID_LATER = ID_LATER.replace("\n    ", "\n      ").replace("s_curve\n", "s_curve\n      id: one\n")
+ID_LATER = ID_LATER.replace("id: two\n  ", "id: two\n")
+
+
+@pytest.mark.parametrize("text", [BY_HAND, ID_LATER])
+def test_what_was_set_by_hand_stays_when_a_camera_is_replaced(tmp_path: Path, text: str) -> None:
+    file = tmp_path / "fleet.yaml"
+    file.write_text(text)
+    (tmp_path / "old.onnx").touch()
+    new = {"id": "one", "source": "scene:urban_turn", "image_size": [640, 360]}
+    fleet = add_camera(file, new, replace=True)
+    camera = fleet.cameras[0]
+    assert (camera.source, camera.image_size) == ("scene:urban_turn", (640, 360))
+    assert camera.parameters == {"tracker": {"max_gap_s": 2.0}}
+    assert not camera.enabled
+    assert camera.model is None
+    comments = [line.partition("#")[2] for line in text.splitlines() if "#" in line]
+    assert [c for c in comments if f"#{c}" not in file.read_text()] == []
+    assert [c.id for c in fleet.cameras] == ["one", "two"]
+
+
+def test_the_origin_of_a_camera_is_read_from_the_file(tmp_path: Path) -> None:
+    file = tmp_path / "fleet.yaml"
+    assert datum_of(file, "one") is None
+    file.write_text(BY_HAND.replace("    model: old.onnx\n", ""))
+    place = datum_of(file, "one")
+    assert place is not None
+    assert (place.latitude_deg, place.longitude_deg) == (43.0, -89.0)
+    assert datum_of(file, "two") is None
 
 
 def test_replacing_a_camera_that_is_not_there_adds_it(tmp_path: Path) -> None:
