@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Container, Mapping, Sequence
 from pathlib import Path
 
-from geoorbit_ros.core.errors import GeoOrbitError, InputFileError, ParameterError
+from geoorbit_ros.core.errors import GeoOrbitError, InputFileError
 from geoorbit_ros.core.input_report import InputReport, Treatment
 from geoorbit_ros.federated.keys import Signer, read_private_key, write_private_key
 from geoorbit_ros.fleet.fleet_file import Camera, Fleet
@@ -23,7 +23,7 @@ from geoorbit_ros.fleet.plan import (
     select,
     without,
 )
-from geoorbit_ros.rendering.frame_source import SCENES, SceneFrames
+from geoorbit_ros.rendering.frame_source import SCENES, SceneFrames, read_scene_spec
 from geoorbit_ros.scenes.output import calibration_text
 from geoorbit_ros.storage.atomic import atomic_output
 from geoorbit_ros.storage.bag_reader import describe_bag
@@ -70,7 +70,9 @@ def leave_out_missing(fleet: Fleet, base: Path, report: InputReport) -> Fleet:
         try:
             if camera.enabled and camera.id not in faults:
                 camera.address(base)
-        except ParameterError as error:  # no password where it should be
+                if camera.kind == "scene":
+                    read_scene_spec(camera.source)
+        except GeoOrbitError as error:  # no password where it should be, or no such scene
             faults[camera.id] = str(error)
     return leave_out(fleet, faults, report)
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from types import MappingProxyType
 from typing import TypeVar
 from urllib.parse import parse_qsl
@@ -30,12 +31,54 @@ _Value = TypeVar("_Value")
 _BOOLEANS = {"true": True, "1": True, "false": False, "0": False}
 
 
-class SceneFrames(FrameSource):
-    """Renders a scene, again for each iteration; the same text gives the same images.
+@dataclass(frozen=True, slots=True)
+class SceneSpec:
+    """What a `scene:` address asks for; `None` as the scene has it."""
+
+    scene: Scene
+    duration_s: float
+    seed: int
+    conditions: Conditions
+    fps: float | None
+    image_size: tuple[int, int] | None
+
+
+def read_scene_spec(spec: str) -> SceneSpec:
+    """The parts of an address of a scene, without rendering it.
 
     Args:
         spec: `scene:NAME` or `scene:FILE.yaml`, then `?` and settings joined by `&`: `seed`,
             `duration` in seconds, `fps`, `size` as `1280x720`, and those of `Conditions`.
+
+    Raises:
+        GeoOrbitError: No such scene, or a setting that can't be used.
+    """
+    name, _, query = spec.partition(":")[2].partition("?")
+    given = _Settings(spec, dict(DEFAULTS))
+    for key, value in parse_qsl(query, keep_blank_values=True):
+        if key not in DEFAULTS:
+            raise ParameterError(f"source {spec}", f"'{key}'", f"one of {', '.join(DEFAULTS)}")
+        given.text[key] = value
+    return SceneSpec(
+        load_scene(name),
+        given.positive("duration"),
+        int(given.number("seed", whole=True)),
+        Conditions(
+            light=given.choice("light", {light: light for light in LIGHTS}),
+            rain=given.choice("rain", _BOOLEANS),
+            shake_px=given.number("shake_px"),
+            clouds=given.number("clouds"),
+        ),
+        given.positive("fps") if given.text["fps"] else None,
+        given.size(),
+    )
+
+
+class SceneFrames(FrameSource):
+    """Renders a scene, again for each iteration; the same text gives the same images.
+
+    Args:
+        spec: As for `read_scene_spec`.
         options: Only `start_ns` concerns it.
 
     Attributes:
@@ -44,20 +87,14 @@ class SceneFrames(FrameSource):
         datum: Origin of the control points' map frame.
 
     Raises:
-        GeoOrbitError: No such scene, or a setting that can't be used.
+        GeoOrbitError: As `read_scene_spec`.
     """
 
     def __init__(self, spec: str, options: SourceOptions) -> None:
         super().__init__(spec)
         self._start_ns = options.start_ns
         self._note_unused(options.fps, "a scene's rate is written scene:NAME?fps=10")
-        name, _, query = spec.partition(":")[2].partition("?")
-        self._settings = dict(DEFAULTS)
-        for key, value in parse_qsl(query, keep_blank_values=True):
-            if key not in DEFAULTS:
-                raise ParameterError(f"source {spec}", f"'{key}'", f"one of {', '.join(DEFAULTS)}")
-            self._settings[key] = value
-        self._scene: Scene = load_scene(name)
+        self._spec = read_scene_spec(spec)
         first = self._render()
         self.fps, self.frame_count = first.fps, first.frame_count
         self.image_size, self.datum = first.camera.image_size, first.datum
@@ -74,41 +111,49 @@ class SceneFrames(FrameSource):
 
     def _render(self) -> RenderedScene:
         return render_scene(
-            self._scene,
-            self._number("duration"),
-            int(self._number("seed", whole=True)),
-            Conditions(
-                light=self._choice("light", {light: light for light in LIGHTS}),
-                rain=self._choice("rain", _BOOLEANS),
-                shake_px=self._number("shake_px"),
-                clouds=self._number("clouds"),
-            ),
-            fps=self._number("fps") if self._settings["fps"] else None,
-            image_size=self._size(),
+            self._spec.scene,
+            self._spec.duration_s,
+            self._spec.seed,
+            self._spec.conditions,
+            fps=self._spec.fps,
+            image_size=self._spec.image_size,
         )
 
-    def _number(self, key: str, *, whole: bool = False) -> float:
-        text = self._settings[key]
+
+@dataclass(frozen=True, slots=True)
+class _Settings:
+    """The settings of an address as text, and as what they must be."""
+
+    spec: str
+    text: dict[str, str]
+
+    def number(self, key: str, *, whole: bool = False) -> float:
         try:
-            return int(text) if whole else float(text)
+            return int(self.text[key]) if whole else float(self.text[key])
         except ValueError:
             raise self._refused(key, "a whole number" if whole else "a number") from None
 
-    def _choice(self, key: str, values: Mapping[str, _Value]) -> _Value:
-        text = self._settings[key].lower()
+    def positive(self, key: str) -> float:
+        number = self.number(key)
+        if not 0.0 < number < math.inf:
+            raise self._refused(key, "a number above 0")
+        return number
+
+    def choice(self, key: str, values: Mapping[str, _Value]) -> _Value:
+        text = self.text[key].lower()
         if text not in values:
             raise self._refused(key, f"one of {', '.join(values)}")
         return values[text]
 
-    def _size(self) -> tuple[int, int] | None:
-        text = self._settings["size"]
+    def size(self) -> tuple[int, int] | None:
+        text = self.text["size"]
         parts = text.split("x")
         if text and not (len(parts) == 2 and all(part.isdecimal() for part in parts)):
             raise self._refused("size", "WIDTHxHEIGHT such as 1280x720")
         return (int(parts[0]), int(parts[1])) if text else None
 
     def _refused(self, key: str, expected: str) -> ParameterError:
-        return ParameterError(f"source {self.name}, '{key}'", f"'{self._settings[key]}'", expected)
+        return ParameterError(f"source {self.spec}, '{key}'", f"'{self.text[key]}'", expected)
 
 
 SCENES: Mapping[str, SourceMaker] = MappingProxyType({"scene": SceneFrames})

@@ -106,6 +106,17 @@ def test_a_dry_run_loads_plugins_too(fleet: Path, capsys: pytest.CaptureFixture[
     assert f"fleet.yaml, line {line}," in error
 
 
+def test_a_dry_run_reads_the_settings_of_scenes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "fleet.yaml"
+    file.write_text("name: a\ncameras:\n  - {id: one, source: 'scene:s_curve?sze=640x360'}\n")
+    assert main(["up", str(file), "--dry-run"]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "'sze'" in said
+    assert "size" in said
+
+
 def test_a_dry_run_shows_no_image_size_that_is_not_known(
     fleet: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,11 +1,13 @@
 """A scene as a source of images: the same text, the same images; a wrong one, a sentence."""
 
+import re
+
 import numpy as np
 import pytest
 
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.rendering.conditions import Conditions
-from geoorbit_ros.rendering.frame_source import SCENES
+from geoorbit_ros.rendering.frame_source import SCENES, read_scene_spec
 from geoorbit_ros.rendering.rendered_scene import render_scene
 from geoorbit_ros.scenes.scene import load_scene
 from geoorbit_ros.storage.frames.open_source import open_frame_source
@@ -55,3 +57,5 @@ def test_a_wrong_setting_is_one_sentence(spec: str, words: tuple[str, ...]) -> N
         open_frame_source(spec, more=SCENES)
     assert "\n" not in str(caught.value)
     assert all(word in str(caught.value) for word in words), str(caught.value)
+    with pytest.raises(GeoOrbitError, match=re.escape(words[0])):
+        read_scene_spec(spec)  # nothing is rendered to find it
