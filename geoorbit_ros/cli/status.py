@@ -14,7 +14,7 @@ from geoorbit_ros.cli.inputs import DomainOption
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from geoorbit_ros.fleet.health import Row
+    from geoorbit_ros.fleet.health import NodeReport, Row
     from geoorbit_ros.nodes.support.composition import Composition
     from geoorbit_ros.nodes.support.diagnostics import StatusListener
 
@@ -75,7 +75,7 @@ def status(
                 content_json = _as_json(cameras, services) | {"remarks": list(report.sentences())}
                 typer.echo(json.dumps(content_json, indent=2))
             else:
-                console.print(_tables(cameras, services))
+                console.print(_tables(cameras, services, listener.reports()))
                 print_remarks(report)
             healthy = _healthy((cameras, services)) and not report.faults
             raise typer.Exit(0 if healthy else 1)
@@ -97,7 +97,8 @@ def _watch(
         while not end.is_set():
             nodes.spin()
             if time.monotonic() - drawn >= REDRAW_S:
-                live.update(_tables(*rows(listener.reports(), expected)), refresh=True)
+                heard = listener.reports()
+                live.update(_tables(*rows(heard, expected), heard), refresh=True)
                 drawn = time.monotonic()
 
 
@@ -136,14 +137,16 @@ def _number(value: str) -> object:
         return value
 
 
-def _tables(cameras: Sequence[Row], services: Sequence[Row]) -> RenderableType:
+def _tables(
+    cameras: Sequence[Row], services: Sequence[Row], heard: Sequence[NodeReport]
+) -> RenderableType:
     from rich.console import Group
     from rich.text import Text
 
     from geoorbit_ros.cli.console import make_table
     from geoorbit_ros.fleet.health import COLUMNS
 
-    if not cameras and not services:
+    if not heard:  # a line for each node that is missing says no more
         return Text("No node heard yet: is the fleet up, on this ROS domain?")
     columns = [column for column in COLUMNS if column.title]
     titles = "|".join(f">{column.title}" for column in columns)

@@ -128,7 +128,10 @@ def say_alignment(a: Alignment) -> str:
     unknown = _heading(a)
     along = "" if unknown is None else f" (not known along {unknown:.0f}°, where all lanes run)"
     if not a.significant:
-        return f"Camera and map fit within {a.size_m:.2f} ± {a.sigma_m:.2f} m{along}."
+        return (
+            f"As a whole, camera and map fit within {a.size_m:.2f} ± {a.sigma_m:.2f} m{along}; "
+            "single lanes may not."
+        )
     east, north = -a.shift_m
     return (
         f"The map lies {_metres(east, 'east', 'west')} and {_metres(north, 'north', 'south')} of "

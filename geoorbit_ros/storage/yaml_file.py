@@ -304,6 +304,8 @@ def _words(error: Mapping[str, Any], kind: str, known_keys: list[str]) -> tuple[
         return "an unknown key", f"'{close[0]}'?" if close else f"a key that {kind} files have"
     value = masked_text(repr(error["input"]))
     value = value if len(value) <= 60 else f"{value[:60]}..."
+    if error["loc"] and error["loc"][-1] == "bool" and error["type"] == "bool_type":
+        return value, "a number, a text, true or false"  # the first member of a union of these
     return value, _EXPECTED.get(error["type"], error["msg"].removeprefix("Input should be "))
 
 

@@ -98,6 +98,7 @@ WRONG = [
     ("update_period_s: 2", "update_period: 2", "line 10", "update_period_s"),
     ("update_period_s: 2", "update_period_s: fast", "line 10", "a number"),
     ("update_period_s: 2", "update_period_s: -1", "line 10", "from 0.1"),
+    ("update_period_s: 2", "update_period_s: [1]", "line 10", "a number, a text, true or false"),
     ("calibration: south.csv", "calibration: 3", "line 13", "path"),
     ("network: roads.net.xml", "parameters: {}", "key 'twin.network'", "expected"),
     ("federated_server: {}", "federated_server: {rounds: 3}", "line 15", "a key that fleet"),
