@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from geoorbit_ros.calibration.datum import Datum
     from geoorbit_ros.calibration.plane import Homography
     from geoorbit_ros.cli.camera_run import CameraJob
 
@@ -107,13 +106,12 @@ def remove(
     say(f"Removed {camera_id} from {fleet}; it has {', '.join(c.id for c in left.cameras)}.")
 
 
-def _known_datum(fleet: Path, camera_id: str) -> Datum | None:
+def _known_datum(fleet: Path, camera_id: str) -> str | None:
     """A camera that is checked again keeps its origin: its map and recordings stay in place."""
-    from geoorbit_ros.calibration.datum import Datum
     from geoorbit_ros.fleet.fleet_io import datum_of
 
     place = datum_of(fleet, camera_id)
-    return None if place is None else Datum(place.latitude_deg, place.longitude_deg)
+    return None if place is None else f"{place.latitude_deg!r},{place.longitude_deg!r}"
 
 
 def _entry(

@@ -15,6 +15,7 @@ import types
 from collections.abc import Callable, Mapping
 from difflib import get_close_matches
 from functools import cache
+from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
@@ -230,13 +231,24 @@ def _made(found: type, settings: object) -> Any:
     return found.from_settings(settings) if isinstance(found, TakesSettings) else found()
 
 
+class _AsItStands(SourceFileLoader):
+    """Compiles a file each time: kept bytecode may be older than a change of the same second."""
+
+    def get_code(self, fullname: str) -> types.CodeType:
+        """The file's code; no bytecode is read, and none is left beside the user's file."""
+        code = self.source_to_code(self.get_data(self.path), self.path)
+        assert isinstance(code, types.CodeType)
+        return code
+
+
 def _from_file(file: Path, name: str, place: str) -> type:
     """The class of this name in a file."""
     if not file.is_file():
         raise ParameterError(place, f"no file {file}", FORM)
     # Its own name: a plug-in may be called as a library is. Dataclasses look into sys.modules.
     module_name = f"geoorbit_plugin_{file.stem}"
-    spec = importlib.util.spec_from_file_location(module_name, file)
+    loader = _AsItStands(module_name, str(file))
+    spec = importlib.util.spec_from_file_location(module_name, file, loader=loader)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)

@@ -180,6 +180,7 @@ def test_a_camera_is_checked_and_added_to_a_fleet(processed: Processed, tmp_path
     camera = load_fleet(fleet)[0].cameras[0]
     assert (camera.id, camera.image_size) == ("north", SIZE)
     assert camera.calibration is not None
+    assert camera.datum is not None
     assert (tmp_path / camera.calibration).resolve() == calibration.resolve()
     assert (tmp_path / camera.source).resolve() == film.resolve()
     image = cv2.imread(str(out / "calibration.png"))
@@ -190,6 +191,13 @@ def test_a_camera_is_checked_and_added_to_a_fleet(processed: Processed, tmp_path
     }
     again = [*words[:-3], str(tmp_path / "twice"), *words[-2:]]
     assert main(again) == 2, "a camera of this name is there"
+    moved = camera.datum.model_copy(update={"latitude_deg": camera.datum.latitude_deg + 1e-4})
+    text = fleet.read_text().replace(f"{camera.datum.latitude_deg}", f"{moved.latitude_deg}")
+    fleet.write_text(text.rstrip("\n") + "  # surveyed\n    enabled: false\n")
+    assert main([*again[:-1], "3", "--replace"]) == 0
+    replaced = load_fleet(fleet)[0].cameras[0]
+    assert (replaced.datum, replaced.enabled) == (moved, False), "its map stays where it is"
+    assert "# surveyed" in fleet.read_text()
 
 
 def test_a_camera_is_added_from_a_stream(processed: Processed, tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """One registry: a decorator is all that a class of the package needs to be found everywhere."""
 
+import os
 import shutil
 import subprocess
 import sys
@@ -135,6 +136,19 @@ MAKERS: dict[str, Callable[[str], object]] = {
     "strategy": make_strategy,
     "tracker": make_tracker,
 }
+
+
+def test_a_file_changed_within_a_second_is_read_anew(tmp_path: Path) -> None:
+    """Python keeps bytecode by the file's size and its time in seconds: the same for both."""
+    file = tmp_path / "own.py"
+    for found in ("one", "two"):
+        file.write_text(
+            "from geoorbit_ros.lanes.estimators.curvilinear.estimator import CurvilinearEstimator\n"
+            f"class Own(CurvilinearEstimator):\n    found = '{found}'\n"
+        )
+        os.utime(file, (1e9, 1e9))
+        assert make_estimator(f"{file}:Own").found == found  # type: ignore[attr-defined]
+    assert list(tmp_path.iterdir()) == [file]
 
 
 @pytest.mark.parametrize("kind", FOLDERS)
