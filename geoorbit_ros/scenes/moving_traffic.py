@@ -13,6 +13,10 @@ WANDER_TIME_S = 4.0
 """Correlation time of a driver's wander in the lane. Chosen: shorter looks like noise of the boxes,
 longer like another habitual place."""
 
+SHIFT_TIME_S = 1.5
+"""Time constant with which a driver takes to another lane's place. Chosen: a lane change takes 4 s;
+shorter moves vehicles sideways in jumps."""
+
 
 class MovingTraffic:
     """The traffic of one run of a scene.
@@ -65,7 +69,39 @@ def _wander(record: TrafficRecord, scene: Scene, seed: int) -> NDArray[np.float6
     for k in range(1, steps):
         drift[k] = fade * drift[k - 1] + np.sqrt(1.0 - fade**2) * noise[k]
     offset = (
-        habit[record.vehicle] + scene.traffic.wander_sigma_m * drift[record.step, record.vehicle]
+        habit[record.vehicle]
+        + scene.traffic.wander_sigma_m * drift[record.step, record.vehicle]
+        + _edge_shift(record, scene, seed)
     )
     normal = np.column_stack([-np.sin(record.heading), np.cos(record.heading)])
     return np.asarray(record.xy + offset[:, None] * normal)
+
+
+def _edge_shift(record: TrafficRecord, scene: Scene, seed: int) -> NDArray[np.float64]:
+    """(N,) how far left of the lane's middle the lane itself makes drivers keep.
+
+    From the edge of the road towards the lane beside; they move over slowly when they change lanes.
+    """
+    traffic = scene.traffic
+    if not (traffic.edge_shift_m or traffic.edge_shift_sigma_m):
+        return np.zeros(len(record.step))
+    lanes_of = {road.id: road.lanes for road in scene.roads}
+    of_lane = []
+    for road, lane in record.lane_names:
+        # Each lane by its name: the same shift whatever else the scene has.
+        own = np.random.default_rng([seed, 5, *road.encode(), lane])
+        shift = traffic.edge_shift_m + traffic.edge_shift_sigma_m * own.standard_normal()
+        edges = (lane == 0) - (lane == lanes_of[road] - 1)  # 0 for a single lane
+        of_lane.append(edges * shift)
+    wanted = np.where(record.lane >= 0, np.append(of_lane, 0.0)[record.lane], np.nan)
+    found = np.zeros(len(wanted))
+    share = 1.0 - np.exp(-STEP_S / SHIFT_TIME_S)
+    rows_of = np.argsort(record.vehicle, kind="stable")
+    for rows in np.split(rows_of, np.flatnonzero(np.diff(record.vehicle[rows_of])) + 1):
+        known = wanted[rows][np.isfinite(wanted[rows])]
+        now = known[0] if len(known) else 0.0
+        for row in rows:
+            if np.isfinite(wanted[row]):  # not within a junction
+                now += share * (wanted[row] - now)
+            found[row] = now
+    return found

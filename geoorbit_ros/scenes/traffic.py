@@ -20,7 +20,7 @@ from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.roadnet.netconvert import last_line
 from geoorbit_ros.scenes.network import write_network
 from geoorbit_ros.scenes.roads import PlacedRoad
-from geoorbit_ros.scenes.scene import VEHICLE_TYPES, Scene
+from geoorbit_ros.scenes.scene import VEHICLE_TYPES, Scene, Traffic
 
 STEP_S = 0.1
 """SUMO's time step; positions in between are interpolated. Chosen: longer changes lanes in jumps,
@@ -31,6 +31,10 @@ then."""
 LANE_CHANGE_S = 4.0
 """Duration of a lane change. Chosen: longer keeps vehicles between lanes, shorter turns them too
 sharply."""
+SLOW = ("truck", "trailer", "bus")
+"""SUMO's classes of vehicles that keep to the outer lane."""
+MOST_LORRIES = 0.8
+"""Largest share of them in a lane. Chosen: more leaves no car between them."""
 TIME_LIMIT_S = 900.0
 """SUMO is ended after this. Chosen: longer hides for longer that it hangs, shorter ends long
 scenes."""
@@ -114,13 +118,14 @@ def _departures(scene: Scene, duration_s: float, seed: int) -> list[_Departure]:
     """Poisson arrivals with a minimum headway, per flow and lane."""
     random = np.random.default_rng([seed, 1])
     lanes_of = {road.id: road.lanes for road in scene.roads}
-    names, shares = list(scene.traffic.mix), np.array(list(scene.traffic.mix.values()))
+    names = list(scene.traffic.mix)
     found = []
     for flow in scene.traffic.flows:
         lanes = lanes_of[flow.route[0]]
         lane_shares = flow.lane_shares or [1.0 / lanes] * lanes
         for lane, share in enumerate(lane_shares[:lanes]):
             rate = flow.per_hour * share / sum(lane_shares) / 3600.0
+            shares = _mix(scene.traffic, lane, share / sum(lane_shares), lanes)
             time_s = 0.0
             while rate > 0.0:
                 # Shifted exponential headways (Cowan 1975, M3): the least headway is 1.5 s.
@@ -149,6 +154,21 @@ def _departures(scene: Scene, duration_s: float, seed: int) -> list[_Departure]:
                     )
                 )
     return sorted(found, key=lambda d: d.time_s)
+
+
+def _mix(traffic: Traffic, lane: int, lane_share: float, lanes: int) -> NDArray[np.float64]:
+    """How often each vehicle type enters in a lane that has a share of the flow."""
+    shares = np.array(list(traffic.mix.values()), dtype=np.float64)
+    if traffic.lorries_outside is None or lanes == 1 or not 0.0 < lane_share < 1.0:
+        return shares
+    shares /= shares.sum()
+    slow = np.array([VEHICLE_TYPES[name].vclass in SLOW for name in traffic.mix])
+    outer = traffic.lorries_outside / lane_share
+    inner = (1.0 - traffic.lorries_outside) / (1.0 - lane_share)
+    wanted = shares[slow] * (outer if lane == 0 else inner)
+    shares[slow] = wanted * min(1.0, MOST_LORRIES / max(float(wanted.sum()), 1e-9))
+    shares[~slow] *= (1.0 - shares[slow].sum()) / max(float(shares[~slow].sum()), 1e-9)
+    return shares
 
 
 def _write_routes(scene: Scene, vehicles: list[_Departure], path: Path) -> None:
