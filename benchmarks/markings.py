@@ -5,6 +5,7 @@ of lane boundaries from the true ones; the error of the surveyed control points 
 A kind counts as right where the boundary that was found solid or dashed is so painted.
 
     python benchmarks/markings.py [--scenes NAME,…] [--random 60] [--light day,dusk] [--rain]
+                                  [--worn 0.5] [--shadows] [--yellow] [--drivers measured]
                                   [--json FILE]
 
 With FOLDER, real cameras instead: FOLDER/NAME/ has `image.png`, `calibration.csv` and `tracks.csv`;
@@ -45,7 +46,12 @@ from geoorbit_ros.rendering.road_surface import surface_of
 from geoorbit_ros.rendering.surface import RoadSurface
 from geoorbit_ros.scenes.random_scene import random_scene
 from geoorbit_ros.scenes.roads import place_roads
-from geoorbit_ros.scenes.scene import load_scene, shipped_scenes
+from geoorbit_ros.scenes.scene import (
+    Scene,
+    load_scene,
+    shipped_scenes,
+    with_measured_drivers,
+)
 from geoorbit_ros.scenes.simulate import simulate
 
 DURATION_S, SEED, IMAGE_AT_S = 60.0, 1, 4
@@ -62,7 +68,7 @@ class Outcome:
 
     Attributes:
         name: Scene.
-        light: Light, with `+rain`.
+        light: Light, with `+rain` and the like.
         before, after: Mean distance of boundaries from the true ones, without and with the image.
         p95: Its 95th percentile, with the image.
         width_before, width_after: Mean error of lane widths.
@@ -111,7 +117,7 @@ def kind_right(line: Array, edge: LaneEdge | None, surface: RoadSurface) -> list
         return []
     near = {}
     dashed = [middle for middle, _, _ in surface.dashed]
-    for kind, lines in (("solid", surface.solid), ("dashed", dashed)):
+    for kind, lines in (("solid", surface.solid + surface.yellow), ("dashed", dashed)):
         distance = np.full(len(line), np.inf)
         for middle in lines:
             if len(middle) > 1:
@@ -123,23 +129,65 @@ def kind_right(line: Array, edge: LaneEdge | None, surface: RoadSurface) -> list
     return list(near[edge.marking][known] <= near[other][known])
 
 
-def measured(lights: Sequence[str], rain: bool, name: str) -> list[Outcome]:
+@dataclass(frozen=True)
+class Setting:
+    """What the scenes are like.
+
+    Attributes:
+        lights: Each of them.
+        rain, worn, shadows: As in `Conditions`.
+        yellow: Whether left edge lines are yellow.
+        measured_drivers: Whether drivers have measured habits.
+    """
+
+    lights: tuple[str, ...]
+    rain: bool
+    worn: float
+    shadows: bool
+    yellow: bool
+    measured_drivers: bool
+
+    @property
+    def words(self) -> str:
+        """Beside the light, in tables."""
+        flags = {"rain": self.rain, f"worn {self.worn:g}": self.worn > 0.0}
+        flags |= {"shadows": self.shadows, "yellow": self.yellow}
+        flags |= {"measured drivers": self.measured_drivers}
+        return "".join(f"+{word}" for word, is_so in flags.items() if is_so)
+
+    def scene(self, name: str) -> Scene:
+        """A scene of this name, so changed."""
+        scene = random_scene(int(name[6:])) if name.startswith("random") else load_scene(name)
+        if self.measured_drivers:
+            scene = with_measured_drivers(scene)
+        if self.yellow:
+            roads = [road.model_copy(update={"yellow_left_line": True}) for road in scene.roads]
+            scene = scene.model_copy(update={"roads": roads})
+        return scene
+
+
+def measured(setting: Setting, name: str) -> list[Outcome]:
     """One scene in every light."""
-    scene = random_scene(int(name[6:])) if name.startswith("random") else load_scene(name)
+    scene = setting.scene(name)
     run = simulate(scene, DURATION_S, SEED)
     plane = fit_homography(run.control_points)
     tracks = project_frames(run.frames, BoxProjector(plane, run.image_size))
     before = map_lanes(tracks, make_mapper("curvilinear", 5.0))
     surface = surface_of(place_roads(scene))
     outcomes = []
-    for light in lights:
-        conditions = Conditions(light, rain=rain)  # type: ignore[arg-type]
+    for light in setting.lights:
+        conditions = Conditions(
+            light,  # type: ignore[arg-type]
+            rain=setting.rain,
+            worn=setting.worn,
+            shadows=setting.shadows,
+        )
         frames = render_scene(scene, IMAGE_AT_S + 1.0, SEED, conditions, fps=1.0)
         image = [frame.image for frame in frames][-1]
         begin = time.perf_counter()
         after = follow_paint(before, image, plane, run.image_size, InputReport("image"))
         seconds = time.perf_counter() - begin
-        label = light + "+rain" * rain
+        label = light + setting.words
         outcomes.append(outcome(name, label, (before, after), run.truth, surface, seconds))
     return outcomes
 
@@ -290,6 +338,10 @@ def main() -> int:
     parser.add_argument("--first-seed", type=int, default=1)
     parser.add_argument("--light", default="day")
     parser.add_argument("--rain", action="store_true")
+    parser.add_argument("--worn", type=float, default=0.0, help="share of the paint that is gone")
+    parser.add_argument("--shadows", action="store_true", help="of gantries and guard rails")
+    parser.add_argument("--yellow", action="store_true", help="left edge lines")
+    parser.add_argument("--drivers", choices=("middle", "measured"), default="middle")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
@@ -298,7 +350,11 @@ def main() -> int:
         return 0
     names = [name for name in given.scenes.split(",") if name]
     names += [f"random{k}" for k in range(given.first_seed, given.first_seed + given.random)]
-    work = partial(measured, given.light.split(","), given.rain)
+    setting = Setting(
+        tuple(given.light.split(",")), given.rain, given.worn, given.shadows, given.yellow,
+        given.drivers == "measured",
+    )  # fmt: skip
+    work = partial(measured, setting)
     outcomes: list[Outcome] = []
     with ProcessPoolExecutor(given.workers) as pool:
         for name, some in zip(names, pool.map(work, names), strict=True):

@@ -14,6 +14,7 @@ from geoorbit_ros.cli.inputs import ForceOption
 
 if TYPE_CHECKING:
     from geoorbit_ros.core.lanes import Lane
+    from geoorbit_ros.scenes.scene import Scene
     from geoorbit_ros.scenes.simulate import Progress, SceneRun
 
 app = typer.Typer(
@@ -32,6 +33,22 @@ class LightOption(StrEnum):
     NIGHT = "night"
 
 
+class DriversOption(StrEnum):
+    """Where drivers are in their lanes."""
+
+    MIDDLE = "middle"
+    MEASURED = "measured"
+
+
+DriversArgument = Annotated[
+    DriversOption,
+    typer.Option(
+        help="In the middle of their lanes in the mean, or as measured on motorways: in edge "
+        "lanes 0.24 m towards the lane beside, lorries outside."
+    ),
+]
+
+
 @app.command("run")
 def run(
     scene: Annotated[
@@ -46,6 +63,7 @@ def run(
         str | None,
         typer.Option(help="Namespace of the camera in the bag; default: the scene's name."),
     ] = None,
+    drivers: DriversArgument = DriversOption.MIDDLE,
     force: ForceOption = False,
 ) -> None:
     """Let traffic drive past a simulated camera; write what it reports and what is true.
@@ -62,16 +80,22 @@ def run(
     """
     from geoorbit_ros.cli.console import status
     from geoorbit_ros.scenes.output import check_new_folder, write_scene_run
-    from geoorbit_ros.scenes.scene import load_scene
     from geoorbit_ros.scenes.simulate import simulate
 
-    description = load_scene(scene)
+    description = _scene(scene, drivers)
     check_new_folder(out, overwrite=force)
     with _shown_progress() as progress:
         result = simulate(description, duration, seed, progress)
     with status("writing"):
         write_scene_run(result, out, camera_id, overwrite=force)
     _print_run(result, out)
+
+
+def _scene(name: str, drivers: DriversOption) -> Scene:
+    from geoorbit_ros.scenes.scene import load_scene, with_measured_drivers
+
+    scene = load_scene(name)
+    return with_measured_drivers(scene) if drivers is DriversOption.MEASURED else scene
 
 
 @app.command("render")
@@ -96,6 +120,11 @@ def render(
     clouds: Annotated[
         float, typer.Option(help="How much the light drifts, as a share of its mean.")
     ] = 0.08,
+    worn: Annotated[float, typer.Option(help="Share of the paint that is gone.")] = 0.0,
+    shadows: Annotated[
+        bool, typer.Option("--shadows", help="Shadows of gantries and guard rails in the sun.")
+    ] = False,
+    drivers: DriversArgument = DriversOption.MIDDLE,
     force: ForceOption = False,
 ) -> None:
     """Render a scene: the video that its roadside camera would send.
@@ -112,11 +141,10 @@ def render(
     from geoorbit_ros.rendering.output import write_rendered_scene, write_video
     from geoorbit_ros.rendering.rendered_scene import render_scene
     from geoorbit_ros.scenes.output import check_new_folder
-    from geoorbit_ros.scenes.scene import load_scene
     from geoorbit_ros.storage.frames.video_writer import check_suffix, is_video
 
-    description = load_scene(scene)
-    conditions = Conditions(light.value, rain, shake, clouds)
+    description = _scene(scene, drivers)
+    conditions = Conditions(light.value, rain, shake, clouds, worn, shadows)
     image_size = None if size is None else _image_size(size)
     check_suffix(out) if out.suffix else check_new_folder(out, overwrite=force)
     with _shown_progress() as progress:

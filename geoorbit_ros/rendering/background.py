@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
-from geoorbit_ros.rendering.conditions import Colour, Illumination, channels
+from geoorbit_ros.rendering.conditions import Colour, Conditions, Illumination, channels
 from geoorbit_ros.rendering.surface import RoadSurface, Strip, shifted
 from geoorbit_ros.rendering.trees import add_skyline, add_trees
 from geoorbit_ros.scenes.camera import PinholeCamera
@@ -43,6 +44,14 @@ ASPHALT: Colour = (0.405, 0.40, 0.395)
 """Dry; darker where it is worn or wet."""
 PAINT: Colour = (0.90, 0.91, 0.91)
 """Of lines, before wear."""
+YELLOW_PAINT: Colour = (0.22, 0.66, 0.86)
+"""Of yellow lines, before wear."""
+WEAR_M = 4.0
+"""Length of the patches in which paint wears. Chosen: wheels cross a line over some metres."""
+GANTRY_EVERY_M, GANTRY_M = 70.0, 1.6
+"""Spacing of gantries' shadows along the road, and their length. Chosen: several are in view."""
+RAIL_M = 0.3
+"""Width of a guard rail's shadow beside the edge line. Chosen: as wide as a broad line."""
 
 
 @dataclass(frozen=True)
@@ -59,9 +68,14 @@ class Background:
 
 
 def make_background(
-    camera: PinholeCamera, surface: RoadSurface, light: Illumination, wet: bool, seed: int
+    camera: PinholeCamera,
+    surface: RoadSurface,
+    light: Illumination,
+    conditions: Conditions,
+    seed: int,
 ) -> Background:
     """Paint the empty scene once; it takes about a second."""
+    wet = conditions.rain
     noise = GroundNoise(seed)
     ground_m, distance, footprint = _ground_points(camera)
     ground = (distance < HORIZON_M).astype(np.float32)
@@ -70,14 +84,22 @@ def make_background(
     pavement = coverage(camera, surface.paved)
     _blend(land, _tinted(GRAVEL, noise, ground_m, footprint, 0.35, 0.05), coverage(camera, verge))
     _blend(land, _asphalt(camera, surface, noise, ground_m, footprint), pavement)
-    worn = 0.80 + 0.10 * noise.sample(ground_m, 0.6, footprint)
-    paint = coverage(camera, surface.paint(LINE_WIDTH_M)) * np.clip(worn, 0.5, 1.0)
-    _blend(land, np.broadcast_to(channels(PAINT), land.shape), paint)
+    left = _left_of_paint(noise, ground_m, footprint, conditions.worn)
+    for colour, bands in (
+        (PAINT, surface.paint(LINE_WIDTH_M)),
+        (YELLOW_PAINT, surface.yellow_paint(LINE_WIDTH_M)),
+    ):
+        if bands:
+            paint = coverage(camera, bands) * left
+            _blend(land, np.broadcast_to(channels(colour), land.shape), paint)
     if wet:
         land *= (1.0 - 0.28 * pavement)[..., None]
     clear = np.exp(-distance / light.haze_m)[..., None]
     sun = channels(light.sun) * np.float32(max(light.sun_direction[2], 0.0))
-    image = land * (channels(light.ambient) + sun) * clear
+    sunny = np.ones_like(distance)
+    if conditions.shadows:
+        sunny -= coverage(camera, surface.shaded(GANTRY_EVERY_M, GANTRY_M, RAIL_M))
+    image = land * (channels(light.ambient) + sun * sunny[..., None]) * clear
     image += channels(light.horizon) * (1.0 - clear)
     if wet:
         image += _mirror(camera, light, distance, pavement)
@@ -90,6 +112,23 @@ def make_background(
         np.asarray(land * bare[..., None], dtype=np.float32),
         np.asarray(np.clip(image, 0.0, 1.0), dtype=np.float32),
     )
+
+
+def _left_of_paint(
+    noise: GroundNoise,
+    ground_m: NDArray[np.float32],
+    footprint: NDArray[np.float32],
+    gone: float,
+) -> NDArray[np.float32]:
+    """(H, W) how much of the paint is left: all of it is a little pale, and a share is gone."""
+    pale = np.clip(0.80 + 0.10 * noise.sample(ground_m, 0.6, footprint), 0.5, 1.0)
+    if not gone:
+        return np.asarray(pale, dtype=np.float32)
+    patches = noise.sample(ground_m, WEAR_M, footprint)
+    patches += 0.5 * noise.sample(ground_m, 0.1 * WEAR_M, footprint)
+    sigma = 0.6 * np.hypot(1.0, 0.5)  # of the two together
+    kept = np.clip(0.5 + (patches / sigma - scipy.special.ndtri(gone)) / 0.5, 0.0, 1.0)
+    return np.asarray(pale * kept * (1.0 - 0.3 * gone), dtype=np.float32)
 
 
 def _ground_points(

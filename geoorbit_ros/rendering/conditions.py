@@ -1,4 +1,4 @@
-"""Light and weather that an image is taken in."""
+"""Light and weather that an image is taken in, and the state of the road's paint."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ Light = Literal["day", "dusk", "night"]
 LIGHTS: tuple[Light, ...] = get_args(Light)
 MAX_SHAKE_PX = 20.0
 """Largest sway. Chosen: a camera that sways more is of no use."""
+MOST_WORN = 0.95
+"""Largest share of the paint that can be gone. Chosen: a road without lines is another road."""
 
 Colour = tuple[float, float, float]
 """Blue, green, red; 1 is a white sheet in full sun, as displayed."""
@@ -21,13 +23,15 @@ Colour = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """What the weather and the pole do.
+    """What the weather, the pole and the years do.
 
     Attributes:
         light: Time of day.
         rain: Whether it rains: wet road, no sun, streaks.
         shake_px: 1-sigma of the camera's sway in the wind, about every two seconds.
         clouds: How much the light drifts, as a share of its mean; 0 for a cloudless sky.
+        worn: Share of the paint that is gone, in patches; the rest is pale.
+        shadows: Whether gantries and guard rails throw shadows on the road where the sun shines.
 
     Raises:
         ParameterError: Another light, or a number out of range.
@@ -37,6 +41,8 @@ class Conditions:
     rain: bool = False
     shake_px: float = 0.0
     clouds: float = 0.08
+    worn: float = 0.0
+    shadows: bool = False
 
     def __post_init__(self) -> None:
         if self.light not in LIGHTS:
@@ -45,6 +51,8 @@ class Conditions:
             raise ParameterError("shake_px", f"{self.shake_px:g}", f"0 to {MAX_SHAKE_PX:g} px")
         if not 0.0 <= self.clouds <= 0.5:
             raise ParameterError("clouds", f"{self.clouds:g}", "0 to 0.5")
+        if not 0.0 <= self.worn <= MOST_WORN:
+            raise ParameterError("worn", f"{self.worn:g}", f"0 to {MOST_WORN:g}")
 
 
 @dataclass(frozen=True, slots=True)

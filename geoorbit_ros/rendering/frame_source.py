@@ -68,6 +68,8 @@ def read_scene_spec(spec: str) -> SceneSpec:
             rain=given.choice("rain", _BOOLEANS),
             shake_px=given.number("shake_px"),
             clouds=given.number("clouds"),
+            worn=given.number("worn"),
+            shadows=given.choice("shadows", _BOOLEANS),
         ),
         given.positive("fps") if given.text["fps"] else None,
         given.size(),

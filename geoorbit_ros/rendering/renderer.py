@@ -154,7 +154,7 @@ class SceneRenderer:
         azimuth = float(np.random.default_rng([seed, 20]).uniform(0.0, 2.0 * np.pi))
         light = illumination(self.conditions, azimuth)
         wet = self.conditions.rain
-        background = make_background(camera, surface_of(roads), light, wet, seed)
+        background = make_background(camera, surface_of(roads), light, self.conditions, seed)
         self._empty = np.rint(255.0 * background.lit).astype(np.uint8)
         self._painter = Painter(camera, light, seed)
         self._shadows = Shadows(camera, light, wet)

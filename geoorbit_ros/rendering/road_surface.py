@@ -59,6 +59,7 @@ def _road_surface(placed: dict[str, PlacedRoad]) -> RoadSurface:
     surface = RoadSurface()
     core: dict[str, Strip] = {}
     lines: list[tuple[str, Line, tuple[float, float] | None]] = []
+    yellow: list[Line] = []
     for name, place in placed.items():
         border, extra = _run_out(place, placed)
         lanes, width = place.road.lanes, place.width_m
@@ -75,9 +76,13 @@ def _road_surface(placed: dict[str, PlacedRoad]) -> RoadSurface:
                 lines.append((name, left, MOTORWAY_DASH if fast else CITY_DASH))
         lines.append((name, border, None))
         lines.append((name, shifted(border, right), None))
+        if place.road.yellow_left_line:
+            yellow.append(border)
     for name, line, dash in lines:
         for piece in outside_of(line, [strip for other, strip in core.items() if other != name]):
-            if dash is None:
+            if any(line is other for other in yellow):
+                surface.yellow.append(piece)
+            elif dash is None:
                 surface.solid.append(piece)
             else:
                 surface.dashed.append((piece, *dash))

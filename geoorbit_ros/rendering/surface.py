@@ -12,6 +12,11 @@ Line = NDArray[np.float64]
 """(K, 2) points in the map frame."""
 
 
+RAIL_BESIDE_M = 0.55
+"""Distance of a guard rail's shadow from the edge line. Chosen: nearer than half a shoulder, where
+it may be taken for a line."""
+
+
 @dataclass(frozen=True, slots=True)
 class Strip:
     """A band on the ground between two lines with as many points.
@@ -38,19 +43,46 @@ class RoadSurface:
         paved: Asphalt, shoulders included.
         lanes: The lanes alone, for wear and to keep other roads' lines off them.
         solid: Middle lines of solid markings.
+        yellow: Middle lines of solid markings in yellow.
         dashed: Middle lines of dashed markings, with the lengths of dash and gap in metres.
     """
 
     paved: list[Strip] = field(default_factory=list)
     lanes: list[Strip] = field(default_factory=list)
     solid: list[Line] = field(default_factory=list)
+    yellow: list[Line] = field(default_factory=list)
     dashed: list[tuple[Line, float, float]] = field(default_factory=list)
 
     def paint(self, width_m: float) -> list[Strip]:
-        """All painted bands, `width_m` wide."""
+        """All bands painted white, `width_m` wide."""
         strips = [band(line, width_m) for line in self.solid if len(line) > 1]
         for line, dash_m, gap_m in self.dashed:
             strips.extend(band(piece, width_m) for piece in dashes(line, dash_m, gap_m))
+        return strips
+
+    def yellow_paint(self, width_m: float) -> list[Strip]:
+        """All bands painted yellow, `width_m` wide."""
+        return [band(line, width_m) for line in self.yellow if len(line) > 1]
+
+    def shaded(self, every_m: float, gantry_m: float, rail_m: float) -> list[Strip]:
+        """Shadows: bands across all pavement, and along both sides of solid lines.
+
+        Args:
+            every_m: Distance between those across.
+            gantry_m: Their length along the road.
+            rail_m: Width of those along it, `RAIL_BESIDE_M` from the solid lines.
+        """
+        strips = []
+        for strip in self.paved:
+            arc = arc_length(strip.left_m)
+            for begin in np.arange(0.5 * every_m, arc[-1] - gantry_m, every_m):
+                at = np.array([begin, begin + gantry_m])
+                strips.append(
+                    Strip(*(along(side, arc, at) for side in (strip.left_m, strip.right_m)))
+                )
+        for line in (*self.solid, *self.yellow):
+            if len(line) > 1:
+                strips += [band(shifted(line, side * RAIL_BESIDE_M), rail_m) for side in (-1, 1)]
         return strips
 
     def lane_wear(self, offset_m: float, width_m: float) -> list[Strip]:

@@ -108,6 +108,7 @@ class Road(StrictModel):
         joins: It ends at the beginning of that lane (an on-ramp).
         opposite: It is the other carriageway of that road, and takes its shape from it.
         lane_width_m: Overrides the scene's.
+        yellow_left_line: Whether the line at its left border is yellow, as in North America.
     """
 
     id: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
@@ -120,6 +121,7 @@ class Road(StrictModel):
     joins: LaneRef | None = None
     opposite: Opposite | None = None
     lane_width_m: float | None = Field(default=None, ge=2.5, le=5.0)
+    yellow_left_line: bool = False
 
     @model_validator(mode="after")
     def _one_place(self) -> Road:

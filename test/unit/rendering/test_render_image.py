@@ -32,6 +32,7 @@ from geoorbit_ros.rendering.sensor import Sensor
 from geoorbit_ros.rendering.surface import Strip, band, dashes, inside, outside_of
 from geoorbit_ros.rendering.trees import add_trees
 from geoorbit_ros.scenes.camera import PinholeCamera
+from geoorbit_ros.scenes.roads import place_roads
 from geoorbit_ros.scenes.scene import load_scene
 
 TRAFFIC = (on_road(226.0, 4.0, TRUCK), on_road(240.0, 8.0), on_road(300.0, 1.8, VAN))
@@ -153,6 +154,53 @@ def test_a_line_is_cut_where_it_enters_a_strip() -> None:
     assert [(piece[0, 0], piece[-1, 0]) for piece in pieces] == [(0.5, 6.5), (13.5, 19.5)]
 
 
+def empty(roads: Any = None, **conditions: Any) -> Array:
+    """The empty road, grey, 0 to 255."""
+    placed, camera = road_and_camera()
+    made = SceneRenderer(camera, roads or placed, Conditions(clouds=0.0, **conditions), 1)
+    return np.asarray(made.render(nothing(), 0.0), dtype=np.float64)
+
+
+@pytest.mark.parametrize("worn", [0.25, 0.5, 0.75])
+def test_so_much_of_the_paint_is_gone_and_nothing_else(worn: float) -> None:
+    placed, camera = road_and_camera()
+    mask = coverage(camera, surface_of(placed).paint(0.18))
+    rows = np.arange(mask.shape[0])[:, None] + np.zeros_like(mask)
+    near = rows > 0.55 * mask.shape[0]  # where a line is wider than a pixel
+    whole, part = (empty(worn=w).mean(axis=2) for w in (0.0, worn))
+    bare = empty(worn=0.95).mean(axis=2)
+    line, clear = near & (mask > 0.8), near & (mask == 0.0)
+    left = ((part - bare)[line] / np.maximum(whole - bare, 20.0)[line]).mean()
+    assert left == pytest.approx(1.0 - worn, abs=0.2)
+    assert np.abs(part - whole)[clear].mean() < 2.5, "the sensor's noise alone"
+
+
+def test_shadows_lie_across_the_road_where_the_sun_shines() -> None:
+    placed, camera = road_and_camera()
+    shade = coverage(camera, surface_of(placed).shaded(70.0, 1.6, 0.3))
+    darker = empty().mean(axis=2) - empty(shadows=True).mean(axis=2)
+    assert shade.max() > 0.9
+    assert darker[shade > 0.9].mean() > 25.0
+    assert np.abs(darker[shade == 0.0]).mean() < 2.5
+    night = empty(light="night").mean(axis=2) - empty(light="night", shadows=True).mean(axis=2)
+    assert np.abs(night[shade > 0.9]).mean() < 6.0
+
+
+def test_a_yellow_line_is_yellow_and_where_the_white_one_was() -> None:
+    placed, camera = road_and_camera()
+    scene = small(load_scene("straight_3x3"))
+    roads = [road.model_copy(update={"yellow_left_line": True}) for road in scene.roads]
+    yellow = place_roads(scene.model_copy(update={"roads": roads}))
+    mask = coverage(camera, surface_of(yellow).yellow_paint(0.18)) > 0.8
+    assert mask.sum() > 100
+    white = coverage(camera, surface_of(placed).paint(0.18))
+    assert white[mask].min() > 0.5
+    blue, _, red = empty(yellow)[mask].mean(axis=0)
+    assert red > 1.8 * blue
+    blue, _, red = empty()[mask].mean(axis=0)
+    assert red < 1.2 * blue
+
+
 def test_night_is_darker_than_dusk_and_dusk_than_day() -> None:
     mean = [renderer(light).render(nothing(), 0.0).mean() for light in ("day", "dusk", "night")]
     assert mean[0] > 1.5 * mean[1] > 1.5 * 1.5 * mean[2] > 10.0
@@ -263,6 +311,7 @@ def test_images_of_lanes_need_no_sumo() -> None:
         ({"light": "noon"}, "light: found 'noon', expected one of day, dusk, night"),
         ({"shake_px": -1.0}, "shake_px: found -1, expected 0 to 20 px"),
         ({"clouds": float("nan")}, "clouds: found nan, expected 0 to 0.5"),
+        ({"worn": 1.5}, "worn: found 1.5, expected 0 to 0.95"),
     ],
 )
 def test_impossible_weather_is_refused(values: dict[str, Any], sentence: str) -> None:
