@@ -14,6 +14,7 @@ from geoorbit_ros.cli.inputs import ForceOption
 
 if TYPE_CHECKING:
     from geoorbit_ros.core.lanes import Lane
+    from geoorbit_ros.rendering.rendered_scene import RenderedScene
     from geoorbit_ros.scenes.scene import Scene
     from geoorbit_ros.scenes.simulate import Progress, SceneRun
 
@@ -91,6 +92,16 @@ def run(
     _print_run(result, out)
 
 
+def _print_rendered(rendered: RenderedScene, told: str, out: Path) -> None:
+    from geoorbit_ros.cli.console import console, say
+
+    _print_lanes(rendered.scene.name, rendered.truth)
+    width, height = rendered.image_size
+    frames = f"{rendered.frame_count} frames of {width}x{height}"
+    say(f"{told}{frames}, {rendered.fps:g} per second.")
+    console.print(f" Wrote {out}", soft_wrap=True)
+
+
 def _scene(name: str, drivers: DriversOption) -> Scene:
     from geoorbit_ros.scenes.scene import load_scene, with_measured_drivers
 
@@ -136,7 +147,6 @@ def render(
     Example: [bold]geoorbit scene render on_ramp_merge --size 1280x720 --fps 25 --out cam[/bold],
     then [bold]geoorbit process cam/video.mp4 --calibration cam/calibration.csv --out result[/bold]
     """
-    from geoorbit_ros.cli.console import console, say
     from geoorbit_ros.rendering.conditions import Conditions
     from geoorbit_ros.rendering.output import write_rendered_scene, write_video
     from geoorbit_ros.rendering.rendered_scene import render_scene
@@ -155,11 +165,7 @@ def render(
         else:
             files = write_rendered_scene(rendered, out, overwrite=force)
             told = f"{files.boxes} true boxes of {files.vehicles} vehicles in "
-    _print_lanes(rendered.scene.name, rendered.truth)
-    width, height = rendered.image_size
-    frames = f"{rendered.frame_count} frames of {width}x{height}"
-    say(f"{told}{frames}, {rendered.fps:g} per second.")
-    console.print(f" Wrote {out}", soft_wrap=True)
+    _print_rendered(rendered, told, out)
 
 
 @app.command("list")
