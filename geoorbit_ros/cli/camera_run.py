@@ -246,7 +246,8 @@ class CameraJob:
             GeoOrbitError: Images that can't be used, or none.
         """
         shown = shown_images(images, duration_s, "finding vehicles and lanes")
-        ground = self.run.ground_tracks(shown, video, images.fps or DEFAULT_FPS)
+        rate = self.detection.rate(images.fps or DEFAULT_FPS)
+        ground = self.run.ground_tracks(shown, video, rate)
         tracks = self._recording.tee(ground)
         self.lane_map = self._lanes(tracks, images.name)
         if self.run.views.found:

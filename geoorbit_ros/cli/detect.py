@@ -12,6 +12,7 @@ from geoorbit_ros.cli.inputs import (
     ClassNamesOption,
     DurationOption,
     FpsOption,
+    MaxFpsOption,
     MinScoreOption,
     ModelOption,
     PasswordFileOption,
@@ -44,6 +45,7 @@ def detect(
     min_score: MinScoreOption = 0.25,
     duration: DurationOption = None,
     fps: FpsOption = None,
+    max_fps: MaxFpsOption = 0.0,
     road_image: Annotated[
         Path | None,
         typer.Option("--road-image", help="Also draw where vehicles drive, as a .png or .jpg."),
@@ -77,12 +79,13 @@ def detect(
         expected = "a name that ends in .png or .jpg"
         raise ParameterError("option --road-image", str(road_image), expected)
     settings = DetectorSettings(min_score, class_names=parse_names(class_names))
-    options = ImageOptions(fps, duration, "", None if strict else LeftOut(), password_file)
+    left_out = None if strict else LeftOut()
+    options = ImageOptions(fps, duration, "", left_out, password_file, max_fps)
     with prepared_run(source, out, options, model, settings, resume=resume) as (images, run):
         with EarlyEnd(images, run, out) as early:
             boxes = write_mot(out, _Frames(run, road_image).of(images, duration))
         print_remarks(images.remarks)
-        console.print(f" {boxes} boxes in {len(run.numbers)} images, by {run.detector.name}.")
+        console.print(f" {boxes} boxes in {run.looked_at}, by {run.detector.name}.")
         also = f" and {road_image}" if road_image else ""
         console.print(f" Wrote {out}{also}", soft_wrap=True)
         early.finish()

@@ -42,6 +42,7 @@ class ImageOptions:
         start: Option `--start-time`; None: the file's own, empty: none.
         left_out: Collects images that can't be used; None: the first ends the command.
         password_file: Option `--password-file`.
+        max_fps: Option `--max-fps`.
     """
 
     fps: float | None = None
@@ -49,6 +50,7 @@ class ImageOptions:
     start: str | None = ""
     left_out: LeftOut | None = None
     password_file: Path | None = None
+    max_fps: float = 0.0
 
     def source_options(self, report: Callable[[str], None]) -> SourceOptions:
         """The same for `open_frame_source`."""

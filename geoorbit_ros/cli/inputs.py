@@ -113,6 +113,16 @@ DurationOption = Annotated[
     float | None,
     typer.Option("--duration", min=0.1, metavar="SECONDS", help="Stop after this time."),
 ]
+MaxFpsOption = Annotated[
+    float,
+    typer.Option(
+        "--max-fps",
+        min=0.0,
+        max=1000.0,
+        help="Look at no more images per second of the recording, evenly; 0: at all. Tracks go on "
+        "over the images between.",
+    ),
+]
 DomainOption = Annotated[
     int | None, typer.Option(min=0, max=232, help="ROS domain; default: the environment's.")
 ]

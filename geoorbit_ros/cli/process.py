@@ -17,6 +17,7 @@ from geoorbit_ros.cli.inputs import (
     EstimatorOption,
     ForceOption,
     FpsOption,
+    MaxFpsOption,
     MinScoreOption,
     ModelOption,
     PasswordFileOption,
@@ -46,6 +47,7 @@ def process(
         bool, typer.Option("--video", help="Also write annotated.mp4: boxes, trails, lanes.")
     ] = False,
     fps: FpsOption = None,
+    max_fps: MaxFpsOption = 0.0,
     duration: DurationOption = None,
     camera_id: Annotated[
         str | None, typer.Option("--camera-id", help="Name of the camera in the files.")
@@ -81,7 +83,8 @@ def process(
     check_new_folder(out, overwrite=again)
     homography, origin = load_calibration(calibration, datum, strict=strict)
     settings = DetectorSettings(min_score, class_names=parse_names(class_names))
-    options = ImageOptions(fps, duration, start_time, None if strict else LeftOut(), password_file)
+    left_out = None if strict else LeftOut()
+    options = ImageOptions(fps, duration, start_time, left_out, password_file, max_fps)
     with prepared_run(source, out, options, model, settings, resume=resume) as (images, run):
         name = camera_id or _name(source)
         job = CameraJob(name, calibration, homography, origin, run, estimator, update_period_s)
@@ -92,7 +95,7 @@ def process(
             job.write(folder, images)
         print_lanes(job.lane_map, f"Lanes of {name}")
         print_remarks(images.remarks, *job.reports)
-        console.print(f" {len(run.numbers)} images; wrote {out}", soft_wrap=True)
+        console.print(f" {run.looked_at}; wrote {out}", soft_wrap=True)
         early.finish()
 
 

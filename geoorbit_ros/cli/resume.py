@@ -32,6 +32,7 @@ from geoorbit_ros.detection.detector import (
     remarks_on,
 )
 from geoorbit_ros.storage.atomic import atomic_output
+from geoorbit_ros.storage.frames.feed import Thinning
 from geoorbit_ros.storage.frames.source import FrameSource, LeftOut, StampedImage
 
 RESUME_SUFFIX = ".resume"
@@ -165,7 +166,7 @@ def prepared_run(
         for note in remarks_on(detector, settings):
             error_console.print(note, soft_wrap=True)
         warm_up_detector(detector, images, options.duration_s, options.left_out)
-        yield images, DetectionRun(detector, kept, options.left_out)
+        yield images, DetectionRun(detector, kept, options.left_out, options.max_fps)
 
 
 def _kept_boxes(
@@ -186,6 +187,7 @@ def _kept_boxes(
         "class names": ",".join(settings.class_names),
         "fps": str(options.fps),
         "start time": str(options.start),
+        "max fps": f"{options.max_fps:g}",
     }
     # An ONNX model learns nothing from images; all others may.
     learns = model is None or model.suffix.lower() != ".onnx"
@@ -199,10 +201,13 @@ class DetectionRun:
         detector: Finds them.
         kept: Keeps their boxes; None: what goes wrong is raised at once.
         left_out: Counts the images that can't be used; they keep their numbers.
+        max_fps: Images per second of the recording that are looked at; 0: all. Others keep their
+            numbers, too.
 
     Attributes:
         detector: As given.
         left_out: As given.
+        thinning: Counts the images that were passed over.
         numbers: Number of every image so far, from 1.
         fault: What ended the run early, once some images have been looked at.
     """
@@ -212,8 +217,10 @@ class DetectionRun:
         detector: Detector,
         kept: KeptBoxes | None = None,
         left_out: LeftOut | None = None,
+        max_fps: float = 0.0,
     ) -> None:
         self.numbers: list[int] = []
+        self.thinning = Thinning(max_fps)
         self.detector, self.kept, self.left_out = detector, kept, left_out
         self.fault: GeoOrbitError | None = None
 
@@ -227,14 +234,28 @@ class DetectionRun:
         """
         try:
             for stamp_ns, image in images:
+                if not self.thinning.keep(stamp_ns):
+                    continue
                 rows = self._rows(stamp_ns, image)
-                skipped = 0 if self.left_out is None else self.left_out.count
+                skipped = self.thinning.left_out
+                skipped += 0 if self.left_out is None else self.left_out.count
                 self.numbers.append(len(self.numbers) + skipped + 1)
                 yield stamp_ns, image, rows
         except GeoOrbitError as error:
             if self.kept is None or not self.numbers:
                 raise
             self.fault = error
+
+    def rate(self, fps: float) -> float:
+        """Images per second that are looked at, of a source with `fps`."""
+        return min(fps, self.thinning.max_fps or fps)
+
+    @property
+    def looked_at(self) -> str:
+        """How many images were looked at, in words."""
+        count = len(self.numbers)
+        passed = self.thinning.left_out
+        return f"{count} of {count + passed} images" if passed else f"{count} images"
 
     def _rows(self, stamp_ns: int, image: NDArray[np.uint8]) -> NDArray[np.void]:
         before = None if self.kept is None else self.kept.of(stamp_ns)

@@ -185,3 +185,19 @@ def test_varying_times_are_told_where_they_get_lost(
     words = ["detect", str(folder), "--model", finder(tmp_path, 99, "pass")]
     assert main([*words, "--out", str(tmp_path / "d.txt")]) == 0
     assert "their numbers don't tell their times" in " ".join(capsys.readouterr().out.split())
+
+
+def test_fewer_images_are_looked_at_evenly_and_keep_their_numbers(
+    tmp_path: Path, film: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """20 images of a film at 10 per second: every third at 3.33 per second, all of them at 50."""
+    words = ["detect", str(film), "--model", finder(tmp_path, 99, "pass"), "--out"]
+    out, whole, all_of_it = (tmp_path / name for name in ("some.txt", "whole.txt", "all.txt"))
+    assert main([*words, str(whole)]) == 0
+    assert main([*words, str(all_of_it), "--max-fps", "50"]) == 0
+    assert lines(all_of_it) == lines(whole)
+    capsys.readouterr()
+    assert main([*words, str(out), "--max-fps", "3.33"]) == 0
+    assert numbers(out) == [1, 4, 7, 10, 13, 16, 19]
+    assert "7 boxes in 7 of 20 images" in " ".join(capsys.readouterr().out.split())
+    assert set(lines(out)) <= set(lines(whole))
