@@ -9,12 +9,11 @@ from geoorbit_ros.core.input_report import InputReport, Treatment
 from geoorbit_ros.core.tables import Frames
 from geoorbit_ros.storage.tracks.cleaning import ReadOptions, clean_tracks
 from geoorbit_ros.storage.tracks.csv_table import CsvTable
-from geoorbit_ros.storage.tracks.cvat import Cvat
 from geoorbit_ros.storage.tracks.json_tracks import JsonBoxes, OtVision
 from geoorbit_ros.storage.tracks.kitti import Kitti
 from geoorbit_ros.storage.tracks.mot_challenge import MotChallenge
 from geoorbit_ros.storage.tracks.raw_tracks import HEAD_BYTES, TrackFormat
-from geoorbit_ros.storage.tracks.ua_detrac import UaDetrac
+from geoorbit_ros.storage.tracks.xml_tracks import Cvat, UaDetrac
 
 FORMATS: tuple[TrackFormat, ...] = (
     OtVision(), Cvat(), UaDetrac(), JsonBoxes(), Kitti(), CsvTable(), MotChallenge(),

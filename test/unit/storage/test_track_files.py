@@ -592,6 +592,7 @@ FORMATS: dict[str, tuple[str | bytes, tuple[str, ...]]] = {
     "KITTI": (KITTI, ()),
     "UA-DETRAC": (DETRAC, ("score",)),
     "CVAT": (CVAT, ("score",)),
+    "CVAT in UTF-16": (CVAT.replace("?>", " encoding='UTF-16'?>", 1).encode("utf-16"), ("score",)),
     "OTVision": (OTVISION, ()),
     "supervision CSV": (SUPERVISION, ()),
     "supervision JSON": (SUPERVISION_JSON, ()),
