@@ -23,6 +23,7 @@ from geoorbit_ros.markings.assignment import (
     NEIGHBOUR_M,
     choose_lines,
 )
+from geoorbit_ros.markings.dashes import dash_pattern
 from geoorbit_ros.markings.lines import PaintedLine, find_lines
 from geoorbit_ros.markings.road_image import ALONG_M, RoadStrip, rectify
 
@@ -78,6 +79,7 @@ class RoadPaint:
 
     Attributes:
         sentence: What came of the last map, or why the image can't be used.
+        dashes: What the lengths of dashes say about the calibration; empty for nothing.
     """
 
     def __init__(
@@ -89,6 +91,7 @@ class RoadPaint:
         if self._usable and image.shape[1::-1] != image_size:
             image = np.asarray(cv2.resize(image, image_size), dtype=np.uint8)
         self._image, self._homography = image, homography
+        self.dashes = ""
         self._roads: list[Road] = []
 
     def follow(self, lane_map: LaneMap, *, anew: bool = True) -> LaneMap:
@@ -103,6 +106,8 @@ class RoadPaint:
             return lane_map
         known = None if anew else _moved(self._roads, lane_map)
         self._roads = known or find_roads(lane_map, self._image, self._homography)
+        pattern = dash_pattern([(road.strip, road.lines) for road in self._roads])
+        self.dashes = "" if pattern is None else pattern.sentence()
         found = with_painted_edges(lane_map, self._roads)
         edges = [edge for lane in found.lanes for edge in (lane.left_edge, lane.right_edge)]
         painted = sum(edge is not None and edge.source == "paint" for edge in edges)
@@ -154,7 +159,8 @@ def follow_paint(
     if not lane_map.lanes:
         return lane_map
     found = paint.follow(lane_map)
-    report.note(Treatment.NOTED, paint.sentence)
+    for sentence in filter(None, (paint.sentence, paint.dashes)):
+        report.note(Treatment.NOTED, sentence)
     return found
 
 
