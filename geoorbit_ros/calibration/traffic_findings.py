@@ -338,18 +338,23 @@ def other_size_finding(
     if not len(box):
         return
     misfit = {}
-    for k in (1.0, *SCALES):
-        other = round(k * image_size[0]), round(k * image_size[1])
+    scaled = [(round(k * image_size[0]), round(k * image_size[1])) for k in SCALES]
+    for other in (image_size, *scaled, *COMMON_SIZES):
         try:
-            pose = recover_pose(homography, other, np.inf if k == 1.0 else MAX_SKEW)
+            pose = recover_pose(homography, other, np.inf if other == image_size else MAX_SKEW)
         except CalibrationError:
             continue  # no camera of that size, either
-        found = _car_size(track_id, k * box, homography, pose)
+        ratio = np.tile(np.divide(other, image_size), 2)
+        found = _car_size(track_id, ratio * box, homography, pose)
         if found is not None:
             misfit[other] = _misfit(found)
     given = misfit.pop(image_size, np.inf)
-    best = min(misfit, key=lambda other: misfit[other], default=None)
-    if best is not None and misfit[best] <= min(EXPLAINED[0], given - EXPLAINED[1]):
+    # Points outside of the given image speak for another one, too.
+    reach = homography.points.pixel[homography.residual.inlier].max(axis=0)
+    margin = 0.0 if (reach > image_size).any() else EXPLAINED[1]
+    inside = {other: m for other, m in misfit.items() if (reach <= other).all() or margin}
+    best = min(inside, key=lambda other: inside[other], default=None)
+    if best is not None and inside[best] <= min(EXPLAINED[0], given - margin):
         text = (
             f"the control points look like those of an image of {best[0]}x{best[1]}, while the "
             f"boxes' image is {image_size[0]}x{image_size[1]}: in that size they fit a camera, and "

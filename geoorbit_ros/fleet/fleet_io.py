@@ -140,14 +140,12 @@ def add_camera(file: Path, entry: Mapping[str, object], *, replace: bool = False
     camera_id = str(entry["id"])
     check_new_camera(file, camera_id, replace=replace)
     if file.exists():
-        text = file.read_text(encoding="utf-8").rstrip("\n") + "\n"
+        text = _text_of(file)
         known = camera_id in [camera.id for camera in load_fleet(file)[0].cameras]
-        text = _exchanged(text, camera_id, entry) if known else _inserted(text, entry)
+        text = _exchanged(file, text, camera_id, entry) if known else _inserted(file, text, entry)
     else:
         text = f"name: {fleet_name(file)}\ncameras:\n{_item(entry, '  ')}"
-    with atomic_output(file) as path:
-        path.write_text(text, encoding="utf-8")
-        return load_fleet(path)[0]
+    return _written(file, text)
 
 
 def remove_camera(file: Path, camera_id: str) -> Fleet:
@@ -163,10 +161,31 @@ def remove_camera(file: Path, camera_id: str) -> Fleet:
     if len(cameras) == 1:
         expected = "another camera, which a fleet needs; delete the file to end the fleet"
         raise InputFileError(str(file), f"only camera '{camera_id}'", expected)
-    text = _exchanged(file.read_text(encoding="utf-8").rstrip("\n") + "\n", camera_id, None)
+    text = _exchanged(file, _text_of(file), camera_id, None)
+    return _written(file, text)
+
+
+def _text_of(file: Path) -> str:
+    """A fleet file's text, whatever its encoding and line ends, with a line end at its end."""
+    text = read_text(file, "fleet", InputReport(str(file), "cameras")).text
+    return text.replace("\r\n", "\n").rstrip("\n") + "\n"
+
+
+def _written(file: Path, text: str) -> Fleet:
+    """Write a fleet file, with the line ends that it has; the fleet as it is read again.
+
+    Raises:
+        InputFileError: The text is no fleet file; then the file is left as it was.
+    """
+    windows = file.exists() and "\r\n" in read_text(file, "fleet", InputReport("", "")).text
     with atomic_output(file) as path:
-        path.write_text(text, encoding="utf-8")
-        return load_fleet(path)[0]
+        path.write_bytes((text.replace("\n", "\r\n") if windows else text).encode())
+        try:
+            return load_fleet(path)[0]
+        except InputFileError as error:
+            place = error.place.replace(str(path), str(file))
+            found = f"{error.found} in what it would become (a part of it may use this camera's)"
+            raise InputFileError(place, found, error.expected) from None
 
 
 def check_new_camera(file: Path, camera_id: str, *, replace: bool = False) -> None:
@@ -198,61 +217,66 @@ def relative(path: Path, file: Path) -> str:
     return os.path.relpath(path.absolute(), file.absolute().parent)
 
 
-def _inserted(text: str, entry: Mapping[str, object]) -> str:
+def _inserted(file: Path, text: str, entry: Mapping[str, object]) -> str:
     """The file's text with another camera after the last one."""
-    cameras, lines = _cameras(text)
+    cameras, lines = _cameras(file, text)
     end = _span(cameras.value[-1], lines)[1]
     indent = " " * cameras.start_mark.column
     return "".join([*lines[:end], _item(entry, indent), *lines[end:]])
 
 
-def _exchanged(text: str, camera_id: str, entry: Mapping[str, object] | None) -> str:
+def _exchanged(file: Path, text: str, camera_id: str, entry: Mapping[str, object] | None) -> str:
     """The file's text with another entry in the place of a camera, or with nothing there."""
-    cameras, lines = _cameras(text)
-    item = next(node for node in cameras.value if camera_id == _id_of(node))
+    cameras, lines = _cameras(file, text)
+    number = next(k for k, node in enumerate(cameras.value) if camera_id == _id_of(node))
+    item = cameras.value[number]
     start, end = _span(item, lines)
     new: list[str] = []
     if entry is not None and item.flow_style:
-        old = yaml.safe_load("".join(lines[start:end]))[0]
+        old = yaml.safe_load(text)["cameras"][number]
         kept = {key: value for key, value in old.items() if key not in FOUND_KEYS}
         new = [_item(dict(entry) | kept, " " * cameras.start_mark.column)]
     elif entry is not None:
-        new = _merged(item, lines, end, entry)
+        new = _merged(item, lines, start, end, entry)
     return "".join([*lines[:start], *new, *lines[end:]])
 
 
 def _merged(
-    item: yaml.MappingNode, lines: list[str], end: int, entry: Mapping[str, object]
+    item: yaml.MappingNode, lines: list[str], start: int, end: int, entry: Mapping[str, object]
 ) -> list[str]:
     """Lines of a camera with other values: keys set by hand, comments and order stay."""
-    column = item.start_mark.column
+    column = item.value[0][0].start_mark.column
     begins = [key.start_mark.line for key, _ in item.value]
-    new: list[str] = []
+    dash = lines[begins[0]][:column]  # or blanks, where the dash has a line of its own
+    new = lines[start : begins[0]]
+    first = len(new)
     for (key, value), begin, stop in zip(item.value, begins, [*begins[1:], end], strict=True):
         own = lines[begin:stop]
         own[0] = " " * column + own[0][column:]  # without the dash
         changed = yaml.safe_load(yaml.serialize(value)) != entry.get(key.value)
         if key.value in FOUND_KEYS and changed:
             comments = [line for line in own if line.strip().startswith("#")]
+            behind = re.search(r"\s#.*", lines[value.end_mark.line][value.end_mark.column :])
             given = {key.value: entry[key.value]} if key.value in entry else {}
             own = [*_block(given, " " * column), *comments]
+            if behind and given:
+                own[0] = own[0].rstrip("\n") + f"  {behind[0].strip()}\n"
         new += own
     there = {key.value for key, _ in item.value}
     new += _block({k: v for k, v in entry.items() if k not in there}, " " * column)
-    dash = lines[begins[0]].index("-")
-    new[0] = " " * dash + "-" + new[0][dash + 1 :]
+    new[first] = dash + new[first][column:]
     return new
 
 
-def _cameras(text: str) -> tuple[yaml.SequenceNode, list[str]]:
+def _cameras(file: Path, text: str) -> tuple[yaml.SequenceNode, list[str]]:
     """The list of cameras in a fleet file's text, and the text's lines."""
     root = yaml.compose(text, Loader=yaml.SafeLoader)
     assert isinstance(root, yaml.MappingNode)  # it was read as a fleet
     cameras = next(value for key, value in root.value if key.value == "cameras")
-    if cameras.flow_style:
-        raise InputFileError(
-            "fleet file, key 'cameras'", "a list in brackets", "one camera per '-'"
-        )
+    if cameras.flow_style or not isinstance(cameras, yaml.SequenceNode):
+        found = "a list in brackets" if cameras.flow_style else "cameras by their names"
+        expected = "one camera per '-', as this command edits them"
+        raise InputFileError(f"{file}, key 'cameras'", found, expected)
     return cameras, text.splitlines(keepends=True)
 
 
@@ -263,6 +287,8 @@ def _id_of(camera: yaml.MappingNode) -> str:
 def _span(camera: yaml.MappingNode, lines: list[str]) -> tuple[int, int]:
     """First line of a camera's entry and the one after its last, comments behind it left out."""
     start = camera.start_mark.line
+    while start and not lines[start].lstrip().startswith("-"):
+        start -= 1  # the dash has a line of its own, or an anchor beside it
     end = camera.end_mark.line + int(bool(camera.flow_style))
     while end > start and not lines[end - 1].strip(" \n").partition("#")[0].strip():
         end -= 1  # comments and empty lines that follow belong to what comes next

@@ -11,7 +11,7 @@ from urllib.parse import parse_qsl
 
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.rendering.conditions import LIGHTS, Conditions
-from geoorbit_ros.rendering.rendered_scene import RenderedScene, render_scene
+from geoorbit_ros.rendering.rendered_scene import RenderedScene, check_settings, render_scene
 from geoorbit_ros.scenes.scene import Scene, load_scene
 from geoorbit_ros.scenes.simulate import START_NS
 from geoorbit_ros.storage.frames.open_source import SourceMaker
@@ -55,11 +55,14 @@ def read_scene_spec(spec: str) -> SceneSpec:
     """
     name, _, query = spec.partition(":")[2].partition("?")
     given = _Settings(spec, dict(DEFAULTS))
-    for key, value in parse_qsl(query, keep_blank_values=True):
+    asked = parse_qsl(query, keep_blank_values=True)
+    for key, value in asked:
+        if [k for k, _ in asked].count(key) > 1:
+            raise ParameterError(f"source {spec}", f"'{key}' more than once", "each setting once")
         if key not in DEFAULTS:
             raise ParameterError(f"source {spec}", f"'{key}'", f"one of {', '.join(DEFAULTS)}")
         given.text[key] = value
-    return SceneSpec(
+    found = SceneSpec(
         load_scene(name),
         given.positive("duration"),
         int(given.number("seed", whole=True)),
@@ -74,6 +77,8 @@ def read_scene_spec(spec: str) -> SceneSpec:
         given.positive("fps") if given.text["fps"] else None,
         given.size(),
     )
+    check_settings(found.duration_s, found.seed, found.fps, found.image_size)
+    return found
 
 
 class SceneFrames(FrameSource):

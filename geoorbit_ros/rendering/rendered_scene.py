@@ -88,8 +88,7 @@ class RenderedScene(Iterator[RenderedFrame]):
         conditions: Conditions,
         progress: Progress | None = None,
     ) -> None:
-        check_range("duration", duration_s, MIN_DURATION_S, MAX_DURATION_S, "s")
-        check_range("seed", seed, 0, MAX_SEED)
+        check_settings(duration_s, seed, None, None)
         self._report = progress or (lambda _what, _share: None)
         self.scene = scene
         placed = place_roads(scene)
@@ -135,6 +134,22 @@ class RenderedScene(Iterator[RenderedFrame]):
         return self.camera.image_size
 
 
+def check_settings(
+    duration_s: float, seed: int, fps: float | None, image_size: tuple[int, int] | None
+) -> None:
+    """Refuse what no scene can be rendered with.
+
+    Raises:
+        ParameterError: A duration, seed, rate or size out of range.
+    """
+    check_range("duration", duration_s, MIN_DURATION_S, MAX_DURATION_S, "s")
+    check_range("seed", seed, 0, MAX_SEED)
+    if fps is not None:
+        check_range("fps", fps, MIN_FPS, MAX_FPS, "frames/s")
+    for name, value in zip(("image width", "image height"), image_size or (), strict=False):
+        check_range(name, value, MIN_SIDE_PX, MAX_SIDE_PX, "px")
+
+
 def render_scene(
     scene: Scene,
     duration_s: float,
@@ -159,13 +174,11 @@ def render_scene(
         ParameterError: A duration, seed, rate or size out of range.
         RoadNetworkError, TrafficError: SUMO is not installed, or refuses the scene.
     """
+    check_settings(duration_s, seed, fps, image_size)
     camera = scene.camera
     if fps is not None:
-        check_range("fps", fps, MIN_FPS, MAX_FPS, "frames/s")
         camera = camera.model_copy(update={"fps": float(fps)})
     if image_size is not None:
-        for name, value in zip(("image width", "image height"), image_size, strict=True):
-            check_range(name, value, MIN_SIDE_PX, MAX_SIDE_PX, "px")
         camera = camera.model_copy(update={"image_size": tuple(image_size)})
     scene = scene.model_copy(update={"camera": camera})
     return RenderedScene(scene, duration_s, seed, conditions or Conditions(), progress)

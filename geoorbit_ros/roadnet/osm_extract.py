@@ -6,6 +6,7 @@ file is refused when it has no road, or when most of its roads are bad.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,6 +36,11 @@ takes two towns for one place, smaller parts a map along a desert road."""
 _COUNTS = ("lanes", "lanes:forward", "lanes:backward", "lanes:both_ways")
 _LIMITS = ("maxspeed", "maxspeed:forward", "maxspeed:backward")
 _UNITS = {"": 1.0, "km/h": 1.0, "kmh": 1.0, "kph": 1.0, "mph": 1.609, "knots": 1.852}
+_LIMIT = re.compile(r"(?P<number>\d+\.?\d*)\s*(?P<unit>[a-z/]*)")
+_ONEWAY = ("yes", "no", "true", "false", "1", "0", "-1", "reverse")
+_CHECKED = (*_COUNTS, *_LIMITS, "width", "oneway", "driving_side")
+NARROWEST_M, WIDEST_M = 2.0, 60.0
+"""Widths of whole roads: a farm track, and a motorway drawn as one line with all its lanes."""
 _TURNED = ("reversible", "alternating")
 _MINI: dict[str, Side] = {"clockwise": "left", "anticlockwise": "right"}
 """Direction of a mini roundabout (wiki, highway=mini_roundabout), and the side of its traffic."""
@@ -238,7 +244,7 @@ def _check_tags(roads: list[tuple[Xml.Element, dict[str, str]]], report: InputRe
     wrong: dict[str, list[str]] = {}
     for way, tags in roads:
         before = dict(tags)
-        for key in [k for k in (*_COUNTS, *_LIMITS, "oneway", "driving_side") if k in tags]:
+        for key in [k for k in _CHECKED if k in tags]:
             value, *others = (part.strip() for part in tags.pop(key).split(";"))
             told = ["several values, of which the first is used"] if others else []
             found, fault = _right_value(key, value)
@@ -254,21 +260,31 @@ def _check_tags(roads: list[tuple[Xml.Element, dict[str, str]]], report: InputRe
 
 def _right_value(key: str, value: str) -> tuple[str | None, str]:
     """A tag's value as it is to be used, None for not at all, and what is wrong with it."""
+    fault = ""
     if key in _COUNTS:
         count = _number(value)
-        if count is None or not 0.0 <= count <= MOST_LANES:
-            return None, "numbers of lanes that no road has are not used"
-        return str(max(int(count), int(count > 0.0))), ""  # 1.5: cars meet with care
-    if key in _LIMITS:
-        unit = value.lower().lstrip("0123456789. ")
-        limit = _number(value[: len(value) - len(unit)])
-        if limit is not None and not 0.0 < limit * _UNITS.get(unit, 1.0) <= MOST_KMH:
-            return None, "speed limits that no road has are not used"
-    elif key == "oneway" and value in _TURNED:
-        return "yes", "direction changes with the hour; built in the direction of its line"
-    elif key == "driving_side" and value.lower() not in SIDES:
-        return None, "neither left nor right, so not used"
-    return value, ""
+        least = 0.0 if ":" in key else 0.5  # lanes:both_ways=0 says something, lanes=0 does not
+        if count is not None and least <= count <= MOST_LANES:
+            return str(max(int(count), int(count > 0.0))), ""  # 1.5: cars meet with care
+        fault = "numbers of lanes that no road has are not used"
+    elif key in _LIMITS:
+        limit = _LIMIT.fullmatch(value.lower())
+        unit = _UNITS.get(limit["unit"]) if limit else None
+        words = re.match(r"[a-z]", value.lower())  # none, walk, signals, DE:urban
+        if not words and not (limit and unit and 0.0 < float(limit["number"]) * unit <= MOST_KMH):
+            fault = "speed limits that no road has are not used"
+    elif key == "width":
+        width = _number(value.lower().removesuffix("m").strip())
+        if width is not None and not NARROWEST_M <= width <= WIDEST_M:
+            fault = "widths that no road has are not used"
+    elif key == "oneway":
+        if value in _TURNED:
+            return "yes", "direction changes with the hour; built in the direction of its line"
+        if value.lower() not in _ONEWAY:
+            fault = "neither yes, no nor -1, so not used"
+    elif value.lower() not in SIDES:  # driving_side
+        fault = "neither left nor right, so not used"
+    return (None if fault else value), fault
 
 
 def _number(text: str) -> float | None:

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
@@ -23,6 +24,8 @@ MAX_FPS = 1000.0
 """Chosen: cameras on roads are far slower; a larger number is a typing error."""
 NO_ID = -1
 """What trackers write for a box that belongs to no track."""
+NO_ID_WORDS = ("", "nan", "none", "null", "na", "n/a", "<na>")
+"""What else programs write for it, in small letters."""
 _NORMALISED = 1.5
 """Boxes whose numbers are all below this are shares of the image, not pixels: the smallest image
 that has room for a vehicle is a hundred times as wide."""
@@ -34,6 +37,8 @@ say different things. Chosen: a clock that is set while a camera records goes ba
 OUTSIDE_SHARE = 0.05
 """More boxes than this wholly outside of the image are no accident: it has another size. Chosen:
 trackers that predict vehicles on their way out make a few; larger overlooks a wrong size."""
+ODD_SCORES = 0.05
+"""So few scores outside of 0 to 1 are faults of rows, more are another scale."""
 _INT32 = np.iinfo(np.int32)
 Mask = NDArray[np.bool_]
 Stamps = NDArray[np.int64]
@@ -193,13 +198,30 @@ def _usable(raw: RawTracks, size: tuple[int, int] | None) -> Mask:
     return use
 
 
+def _readable(raw: RawTracks, frame: Array | None, fps: float | None, use: Mask) -> Stamps | None:
+    """The file's times; None where frame numbers and a rate are all that can be read."""
+    stamp_ns = raw.stamp_ns
+    if stamp_ns is None or frame is None or not fps or (use & (stamp_ns >= 0)).any():
+        return stamp_ns
+    text = "no time can be read; the frame numbers and the rate count"
+    raw.report.note(Treatment.REPAIRED, text + _first_time(raw, use))
+    return None
+
+
+def _first_time(raw: RawTracks, rows: Mask) -> str:
+    """The first time of some rows as the file writes it, in brackets."""
+    if raw.time_text is None or not rows.any():
+        return ""
+    return f" ('{raw.time_text[int(np.argmax(rows))].as_py()}')"
+
+
 def _stamps(raw: RawTracks, options: ReadOptions, use: Mask, expected: str) -> NDArray[np.int64]:
     """(N,) capture time of each row; -1 where it is not known."""
     place = raw.report.place
-    frame, stamp_ns = raw.frame, raw.stamp_ns
+    frame = raw.frame
     if frame is not None:
         whole = np.isfinite(frame) & (frame == np.rint(frame)) & (np.abs(frame) < 2**53)
-        if stamp_ns is None:
+        if raw.stamp_ns is None:
             _leave_out(raw, use, whole, "a frame number that is no whole number")
         elif (use & ~whole).any():
             k = int(np.argmax(use & ~whole))
@@ -207,17 +229,18 @@ def _stamps(raw: RawTracks, options: ReadOptions, use: Mask, expected: str) -> N
             text = "a frame number that is no whole number; the time counts"
             raw.report.add(Treatment.REPAIRED, count, text, raw.place(k))
         frame = np.where(whole, frame, np.nan)
+    fps = options.fps or raw.fps
+    stamp_ns = _readable(raw, frame, fps, use)
     if stamp_ns is not None:
         known = stamp_ns >= 0
         if frame is not None:
             stamp_ns = _agreed(raw, frame, stamp_ns, use & known)
             known = stamp_ns >= 0
-        _leave_out(raw, use, known, "a time that can't be read")
+        _leave_out(raw, use, known, f"a time that can't be read{_first_time(raw, use & ~known)}")
         _leave_out(raw, use, _near_the_others(stamp_ns, use), "a time far from all others")
         return stamp_ns
     if frame is None:
         raise InputFileError(place, "boxes without a frame number or a time", expected)
-    fps = options.fps or raw.fps
     if fps is None:
         found = f"{raw.format_name} without times"
         raise InputFileError(place, found, "--fps: how many images per second the camera took")
@@ -294,7 +317,9 @@ def _spread(numbers: Array, times: Stamps, changed: Mask) -> Stamps:
 def _ids(raw: RawTracks, use: Mask) -> NDArray[np.int32]:
     """(N,) ids of 32 bits: the file's own where they are such numbers, else counted from 1."""
     numbers = as_numbers(raw.track_id)
-    known = np.array(pc.not_equal(raw.track_id, ""), dtype=np.bool_) & (numbers != NO_ID)
+    words = pc.utf8_lower(pc.utf8_trim_whitespace(raw.track_id))
+    nothing = np.array(pc.is_in(words, value_set=pa.array(NO_ID_WORDS)), dtype=np.bool_)
+    known = ~nothing & (numbers != NO_ID)
     if use.any() and not known[use].any():
         found = "boxes without ids (detections, not tracks)"
         raise InputFileError(raw.report.place, found, "tracks; geoorbit track makes them")
@@ -324,6 +349,12 @@ def _scores(raw: RawTracks, use: Mask) -> NDArray[np.float32]:
         count = int((use & ~known).sum())
         text = "a score that is no number; taken as sure"
         report.add(Treatment.REPAIRED, count, text, raw.place(k))
+    beyond = known & ((score < 0.0) | (score > 1.0))
+    if 0 < beyond.sum() <= ODD_SCORES * known.sum():  # single rows say nothing of the scale
+        k = int(np.argmax(beyond))
+        text = f"a score outside of 0 to 1 ({score[k]:g}); taken as sure"
+        report.add(Treatment.REPAIRED, int(beyond.sum()), text, raw.place(k))
+        score[beyond] = 1.0
     low, high = float(score[known].min()), float(score[known].max())
     if low < 0.0 or high > _PERCENT:
         text = f"scores from {low:g} to {high:g}: mapped to 0 to 1 by the logistic function"

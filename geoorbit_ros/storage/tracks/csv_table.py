@@ -47,6 +47,9 @@ _CLOCK = re.compile(_TIME)
 _SPREADSHEET = re.compile(rf"(\d{{1,4}})([-/.])(\d{{1,2}})[-/.](\d{{2,4}}),?[ T]+(?P<time>{_TIME})")
 _MIDNIGHT_GAP_NS = 6 * 3600 * 10**9
 """Times of day with so long a gap between them are those before and after midnight."""
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|nan|inf", re.IGNORECASE)
+_HOUR_GAP_NS = 900 * 10**9
+"""The same of minutes and seconds, which begin again every hour."""
 _FEWEST_STEPS = 10
 """Fewer say nothing of the unit. Chosen: a recording of lanes has hundreds."""
 _NAMED_UNIT = re.compile(
@@ -174,9 +177,13 @@ def _times_of_day(words: list[str]) -> NDArray[np.int64]:
     stamps = np.array([UNKNOWN_NS if s is None else round(s * 1e9) for s in seconds], np.int64)
     known = np.unique(stamps[stamps >= 0])
     gap = np.diff(known)
-    if len(gap) and gap.max() > _MIDNIGHT_GAP_NS:
+    hourly = all(
+        word.count(":") == 1 for word, s in zip(words, seconds, strict=True) if s is not None
+    )
+    longest, around = (_HOUR_GAP_NS, 3600) if hourly else (_MIDNIGHT_GAP_NS, 24 * 3600)
+    if len(gap) and gap.max() > longest:
         early = (stamps >= 0) & (stamps <= known[int(np.argmax(gap))])
-        stamps[early] += 24 * 3600 * 10**9
+        stamps[early] += around * 10**9
     return stamps
 
 
@@ -240,7 +247,7 @@ class CsvTable:
         if len(cells) == 1:  # values between blanks: as many in the next line
             cells = header.split()
             cells = cells if len(cells) == len(first_line(body)[0].split()) else []
-        words = [cell for cell in cells if re.search(r"[A-Za-z]", cell)]
+        words = [c for c in cells if re.search(r"[A-Za-z]", c) and not _NUMBER.fullmatch(c.strip())]
         return len(cells) > 1 and 2 * len(words) > len(cells)
 
     def read(self, path: Path, columns: dict[str, str]) -> RawTracks:
@@ -281,6 +288,7 @@ class CsvTable:
             text: pa.Array = table.columns[table.names.index(name)]
             # `--columns time_ms=t` names the unit, too.
             said = next((word for word, column in columns.items() if column == name), name)
+            raw.time_text = text
             raw.stamp_ns = parse_times(text, said if _named_unit(said) else name, table.report)
         return raw
 

@@ -30,11 +30,17 @@ _MARKS = (
     (codecs.BOM_UTF16_BE, "utf-16"),
 )
 _NUMBER = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$"
+_MARKS_APART = "['\u2019\u00a0\u202f\u2009 ]"
+_APART = rf"^[+-]?\d{{1,3}}({_MARKS_APART}\d{{3}})+([.,]\d+)?$"
+"""Thousands kept apart by apostrophes (Switzerland) or narrow blanks (France, ISO 80000)."""
 _DECIMAL_COMMA = r"^[+-]?\d*,\d+$"
 _DECIMALS = {".": r"\d+\.(?:\d{1,2}|\d{4,})", ",": r"\d+,(?:\d{1,2}|\d{4,})"}
 """Numbers with decimals for certain: three digits may be thousands."""
 _GROUPED = {".": r"[1-9]\d{0,2}(?:\.\d{3})+(?:,\d+)?", ",": r"[1-9]\d{0,2}(?:,\d{3})+(?:\.\d+)?"}
 """Numbers whose thousands are separated by this mark, if the other one is the decimals'."""
+WHOLE_SHARE, LEAST_BESIDE = 0.1, 100.0
+"""Share of whole numbers in a column whose others have marks between thousands, and the least that
+one of them must reach. Chosen: of numbers with three decimals one in a thousand is whole."""
 _EXCEL_LINE = re.compile(r"sep=.?", re.IGNORECASE)
 """A first line that tells Excel the delimiter and is no header."""
 _BLANKS = re.compile(r"(?<=\S)[ \t]+(?=\S)")
@@ -68,10 +74,12 @@ class CsvText:
 
 
 def as_numbers(text: pa.Array) -> NDArray[np.float64]:
-    """(N,) numbers, NaN where a text is none; `3,5` counts as 3.5."""
+    """(N,) numbers, NaN where a text is none; `3,5` counts as 3.5, `1'706` as 1706."""
     try:
         return np.array(pc.cast(text, pa.float64()), dtype=np.float64)
     except pa.ArrowInvalid:
+        apart = pc.match_substring_regex(text, _APART)
+        text = pc.if_else(apart, pc.replace_substring_regex(text, _MARKS_APART, ""), text)
         commas = pc.match_substring_regex(text, _DECIMAL_COMMA)
         text = pc.if_else(commas, pc.replace_substring(text, ",", "."), text)
         good = pc.match_substring_regex(text, _NUMBER)
@@ -268,7 +276,34 @@ def _table(
         report.add(
             Treatment.LEFT_OUT, len(wrong), f"not {len(names)} values as in the header", example
         )
+    columns = [
+        _without_marks(column, name, report) for column, name in zip(columns, names, strict=True)
+    ]
     return CsvText(names, tuple(columns), line.astype(np.int64), report)
+
+
+def _without_marks(text: pa.Array, name: str, report: InputReport) -> pa.Array:
+    """A column in which numbers below a thousand are whole, and larger ones have marks.
+
+    `976` beside `1.706`: no program writes 1.706 so, and whole numbers beside it without decimals.
+    """
+    for mark in (".", ","):
+        marked = pc.match_substring(text, mark)
+        count = pc.sum(marked).as_py() or 0
+        if not 0 < count <= (1.0 - WHOLE_SHARE) * len(text):
+            continue
+        grouped = pc.match_substring_regex(
+            text, rf"^[+-]?[1-9]\d{{0,2}}(?:{re.escape(mark)}\d{{3}})+$"
+        )
+        if pc.sum(grouped).as_py() != count:
+            continue
+        whole = as_numbers(text.filter(pc.invert(marked)))
+        if np.isfinite(whole).any() and np.nanmax(np.abs(whole)) >= LEAST_BESIDE:
+            found = text.filter(grouped)[0].as_py()
+            told = f"column '{name}' has marks between thousands: {found} is "
+            report.note(Treatment.REPAIRED, told + found.replace(mark, ""))
+            return pc.replace_substring(text, mark, "")
+    return text
 
 
 def _content_lines(data: bytes) -> NDArray[np.int64]:

@@ -16,17 +16,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
 from geoorbit_ros.core.errors import InputFileError
 from geoorbit_ros.core.input_report import Treatment
 from geoorbit_ros.storage.tracks.box_list import BoxList, as_number, as_size
-from geoorbit_ros.storage.tracks.csv_table import MAX_TIME_S
+from geoorbit_ros.storage.tracks.csv_table import MAX_TIME_S, parse_times
 from geoorbit_ros.storage.tracks.csv_text import decode
 from geoorbit_ros.storage.tracks.raw_tracks import RawTracks
 
 _BZIP2 = b"BZh"
 _FRAME_KEYS = (
     "frame", "frame_index", "frame_id", "frame_number", "frame_num", "frame_idx", "image_id",
+)  # fmt: skip
+_TIME_KEYS = (
+    "time", "timestamp", "time_s", "timestamp_s", "time_ms", "timestamp_ms", "stamp_ns", "time_ns",
+    "timestamp_ns", "datetime",
 )  # fmt: skip
 _COCO_NAMES = {
     1: "person",
@@ -110,8 +115,9 @@ class JsonBoxes:
         no_corners = sum(not _are_corners(row) for _, row in rows)
         corner_and_size = coco or no_corners > NO_CORNERS_SHARE * len(rows)
         name_of = _coco_names(content, rows)
-        unnumbered = 0
+        unnumbered, times = 0, list[str]()
         for number, row in rows:
+            times.append(next((str(row[key]) for key in _TIME_KEYS if key in row), ""))
             frame = next((row[key] for key in _FRAME_KEYS if key in row), number)
             frame = images.get(frame, frame) if isinstance(frame, int | str) else frame
             unnumbered += frame is None
@@ -122,18 +128,23 @@ class JsonBoxes:
                 else kind
             )
             score = next((row[key] for key in ("confidence", "conf", "score") if key in row), None)
-            identity = row.get("tracker_id", row.get("track_id", row.get("instance_id")))
+            identity = _identity(row)
             if identity is None and not coco:  # in COCO it is the box's own
                 identity = row.get("id")
             boxes.add(frame, identity, kind, score, _corners(row, corner_and_size))
         if not boxes.frame:
             raise InputFileError(place, "no boxes", self.expected)
-        if unnumbered == len(boxes.frame):
+        timed = sum(map(bool, times)) > 0.5 * len(times)
+        if unnumbered == len(boxes.frame) and not timed:
             found = "boxes that don't say in which image they are"
             expected = f"a key {' or '.join(_FRAME_KEYS[:2])} (custom data of JSONSink)"
             raise InputFileError(place, found, expected)
         raw = boxes.raw(self.name, place)
         raw.image_size = _coco_size(content)
+        if timed:
+            raw.time_text = pa.array(times, pa.string())
+            raw.stamp_ns = parse_times(raw.time_text, _time_key(rows), raw.report)
+            raw.frame = None if unnumbered == len(boxes.frame) else raw.frame
         if coco:
             text = "COCO's boxes: x, y are the upper left corner, categories are COCO's"
             raw.report.note(Treatment.NOTED, text)
@@ -141,6 +152,18 @@ class JsonBoxes:
             text = "bbox can't be corners: x, y, width, height from the upper left corner"
             raw.report.note(Treatment.REPAIRED, text)
         return raw
+
+
+def _identity(row: Mapping[str, Any]) -> object:
+    """A track's id, beside the box or among the attributes of CVAT's export."""
+    attributes = row.get("attributes")
+    places = (row, attributes if isinstance(attributes, Mapping) else {})
+    keys = ("tracker_id", "track_id", "instance_id")
+    return next((place[key] for place in places for key in keys if key in place), None)
+
+
+def _time_key(rows: list[tuple[int | None, Mapping[str, Any]]]) -> str:
+    return next(key for _, row in rows for key in _TIME_KEYS if key in row)
 
 
 def _coco_images(content: Any) -> dict[int | str, object]:
@@ -167,7 +190,7 @@ def _coco_names(content: Any, rows: list[tuple[int | None, Mapping[str, Any]]]) 
     Programs write COCO's numbers (car 3) or those of detectors (car 2); cars are the most common.
     """
     own = content.get("categories") if isinstance(content, Mapping) else None
-    if isinstance(own, list):
+    if isinstance(own, list) and own:
         return {c["id"]: str(c.get("name")) for c in own if isinstance(c, Mapping) and "id" in c}
     numbers = [row.get("category_id") for _, row in rows]
     return _COCO_NAMES if numbers.count(3) >= numbers.count(2) else {}

@@ -37,6 +37,7 @@ class RawTracks:
         score: (N,) the detector's score, on whatever scale.
         frame: (N,) number of the image; None where the format has none.
         stamp_ns: (N,) capture time; -1 where it can't be read; None where the format has none.
+        time_text: (N,) the times as the file writes them, for what can't be read.
         first_frame: Number of the first image of the recording.
         fps: Images per second, where the file says so.
         image_size: (width, height), where the file says so.
@@ -58,6 +59,7 @@ class RawTracks:
     report: InputReport
     frame: Array | None = None
     stamp_ns: NDArray[np.int64] | None = None
+    time_text: pa.StringArray | None = None
     first_frame: int = 0
     fps: float | None = None
     image_size: tuple[int, int] | None = None

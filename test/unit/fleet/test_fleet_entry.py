@@ -159,6 +159,53 @@ def test_what_was_set_by_hand_stays_when_a_camera_is_replaced(tmp_path: Path, te
     assert [c.id for c in fleet.cameras] == ["one", "two"]
 
 
+HAND_WRITTEN = {
+    "an anchor beside the dash": "- &one\n    id: one\n    source: scene:s_curve\n"
+    "    enabled: false\n",
+    "a dash on its own line": "-\n    id: one\n    source: scene:s_curve  # q\n"
+    "    enabled: false\n",
+    "an alias in braces": "- {id: one, source: 'scene:s_curve', parameters: *p, enabled: false}\n",
+    "an alias in a block": "- id: one\n    source: scene:s_curve\n    enabled: false\n"
+    "    parameters: *p\n",
+}
+
+
+@pytest.mark.parametrize("item", HAND_WRITTEN.values(), ids=HAND_WRITTEN)
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_any_spelling_of_a_camera_is_replaced_and_taken_out(
+    tmp_path: Path, item: str, encoding: str, end: str
+) -> None:
+    file = tmp_path / "fleet.yaml"
+    head = "name: a\nx-common: &p\n  tracker: {max_gap_s: 2.0}\ncameras:\n"
+    text = f"{head}  {item}  - id: two\n    source: scene:lane_drop\n"
+    file.write_bytes(text.replace("\n", end).encode(encoding))
+    fleet = add_camera(file, {"id": "one", "source": "scene:urban_turn"}, replace=True)
+    assert [c.source for c in fleet.cameras] == ["scene:urban_turn", "scene:lane_drop"]
+    assert not fleet.cameras[0].enabled
+    assert bool(fleet.cameras[0].parameters) == ("*p" in item)
+    assert ("# q" in file.read_bytes().decode()) == ("# q" in item)
+    assert file.read_bytes().count(b"\r\n") == (
+        file.read_bytes().count(b"\n") if end != "\n" else 0
+    )
+    assert [c.id for c in remove_camera(file, "one").cameras] == ["two"]
+    assert "one" not in file.read_text()
+
+
+def test_a_camera_that_another_one_uses_is_not_taken_out(tmp_path: Path) -> None:
+    file = tmp_path / "fleet.yaml"
+    text = (
+        "name: a\ncameras:\n  - id: one\n    source: &s scene:s_curve\n"
+        "  - id: two\n    source: *s\n"
+    )
+    file.write_text(text)
+    with pytest.raises(InputFileError) as caught:
+        remove_camera(file, "one")
+    assert str(file) in str(caught.value)
+    assert str(tmp_path / ".") not in str(caught.value).replace(str(file), "")
+    assert file.read_text() == text
+
+
 def test_the_origin_of_a_camera_is_read_from_the_file(tmp_path: Path) -> None:
     file = tmp_path / "fleet.yaml"
     assert datum_of(file, "one") is None

@@ -101,6 +101,26 @@ GOOD: dict[str, tuple[bytes | str, tuple[str, ...]]] = {
         ("speed limits that no road has are not used (first: way 10: maxspeed=9999)",),
     ),
     "a limit in miles": (TEXT.replace(HIGHWAY, HIGHWAY + '<tag k="maxspeed" v="85 mph"/>'), ()),
+    "a limit below 0": (
+        TEXT.replace(HIGHWAY, HIGHWAY + '<tag k="maxspeed" v="-10"/>'),
+        ("speed limits that no road has are not used",),
+    ),
+    "a limit of 1e3": (
+        TEXT.replace(HIGHWAY, HIGHWAY + '<tag k="maxspeed" v="1e3"/>'),
+        ("speed limits that no road has are not used",),
+    ),
+    "no lanes": (
+        TEXT.replace('v="4"', 'v="0"'),
+        ("numbers of lanes that no road has are not used (first: way 10: lanes=0)",),
+    ),
+    "a width of half a metre": (
+        TEXT.replace(HIGHWAY, HIGHWAY + '<tag k="width" v="0.5"/>'),
+        ("widths that no road has are not used (first: way 10: width=0.5)",),
+    ),
+    "an odd oneway": (
+        TEXT.replace(HIGHWAY, HIGHWAY + '<tag k="oneway" v="maybe"/>'),
+        ("neither yes, no nor -1, so not used",),
+    ),
     "no limit": (TEXT.replace(HIGHWAY, HIGHWAY + '<tag k="maxspeed" v="none"/>'), ()),
     "a lane and a half": (TEXT.replace('v="4"', 'v="1.5"'), ()),
     "a road of both directions by turns": (

@@ -74,6 +74,72 @@ def assert_same(found: Frames, expected: Frames, but: tuple[str, ...] = ()) -> N
                 assert a[name] == pytest.approx(b[name], abs=1e-4), name
 
 
+WHOLE_MARKS = {
+    "points": lambda v: f"{v:,}".replace(",", "."),
+    "apostrophes": lambda v: f"{v:,}".replace(",", "'"),
+    "narrow blanks": lambda v: f"{v:,}".replace(",", "\u202f"),
+    "blanks that hold": lambda v: f"{v:,}".replace(",", "\u00a0"),
+}
+
+
+@pytest.mark.parametrize("shape", WHOLE_MARKS.values(), ids=WHOLE_MARKS)
+def test_whole_numbers_with_marks_are_whole(tmp_path: Path, shape: Callable[[int], str]) -> None:
+    """A file without any decimals: 976 stands beside 1.706."""
+    rows = [(row[0], row[2], 2, int(row[5]) + 700, int(row[6]), 60, 40) for row in made_rows()]
+    plain, _ = read(tmp_path, csv(rows, "id,frame,class,x,y,w,h"), fps=FPS, image_size=(1920, 1080))
+    lines = [";".join([*map(str, r[:3]), shape(r[3]), *map(str, r[4:])]) for r in rows]
+    marked = "\n".join(["id;frame;class;x;y;w;h", *lines]) + "\n"
+    found, report = read(tmp_path, marked, fps=FPS, image_size=(1920, 1080))
+    assert_same(found, plain)
+    assert report.left_out == 0
+
+
+def test_three_decimals_are_decimals(tmp_path: Path) -> None:
+    rows = [
+        (row[0], f"{row[1] + 1:.3f}", 2, f"{row[5] + 0.125:.3f}", 50, 60, 40) for row in made_rows()
+    ]
+    frames, report = read(tmp_path, csv(rows, "id,time,class,x,y,w,h"))
+    assert "marks" not in said(report)
+    assert frames.rows["x"].max() < 500
+    assert frames.stamp_ns[0] == 10**9
+
+
+@pytest.mark.parametrize("word", ["nan", "NaN", "None", "null", "NA", "", "-1"])
+def test_what_is_no_id_in_any_language_is_left_out(tmp_path: Path, word: str) -> None:
+    frames, report = read(tmp_path, changed(4, id=word), image_size=SIZE)
+    assert len(frames.rows) == 35
+    assert set(frames.rows["track_id"].tolist()) == {1, 2, 3}
+    assert "1 of 36 boxes left out: no id" in said(report)
+
+
+@pytest.mark.parametrize("score", ["85", "8.5", "5000", "-1", "1.7e22"])
+def test_one_odd_score_says_nothing_of_the_scale(tmp_path: Path, clean: Frames, score: str) -> None:
+    frames, report = read(tmp_path, changed(4, conf=score), image_size=SIZE)
+    assert_same(frames, clean, but=("score",))
+    assert np.sum(np.abs(frames.rows["score"] - clean.rows["score"]) > 1e-6) == 1
+    assert "1 of 36 boxes repaired: a score outside of 0 to 1" in said(report)
+
+
+def test_times_of_json_count(tmp_path: Path, clean: Frames) -> None:
+    rows = json.loads(SUPERVISION_JSON)
+    timed = [row | {"time": row["frame_index"] / FPS} for row in rows]
+    for content in (timed, [{k: v for k, v in r.items() if k != "frame_index"} for r in timed]):
+        frames, report = read(tmp_path, json.dumps(content), fps=99.0, image_size=SIZE)
+        assert_same(frames, clean)
+        assert "--fps is not used" in said(report)
+
+
+def test_a_time_that_can_not_be_read_is_shown_and_frame_numbers_count(
+    tmp_path: Path, clean: Frames
+) -> None:
+    coded = each(lambda d: [d["id"], f"00:00:0{int(d['frame_num'])}:0x", *list(d.values())[2:]])
+    with pytest.raises(InputFileError, match=r"a time that can't be read .'00:00:00:0x'"):
+        read(tmp_path, coded, image_size=SIZE)
+    frames, report = read(tmp_path, coded, fps=FPS, image_size=SIZE)
+    assert_same(frames, clean)
+    assert "no time can be read; the frame numbers and the rate count" in said(report)
+
+
 @pytest.mark.parametrize(("between", "marks"), [(";", str.maketrans(",.", ".,")), (",", {})])
 def test_marks_between_thousands_are_no_decimals(
     tmp_path: Path, between: str, marks: dict[int, int]
@@ -204,6 +270,8 @@ TIMES: dict[str, tuple[Callable[[float], object], float, str]] = {
         86_399.6,
         "no date",
     ),
+    "minutes and seconds around the hour": (
+        lambda t: f"{int(59 + (59.0 + t) // 60) % 60}:{(59.0 + t) % 60:04.1f}", 3599.0, "no date"),
     "minutes and seconds": (lambda t: f"3:{7.0 + t:04.1f}", 187.0, "no date"),
     "before zero": (lambda t: t - 5.0, 0.0, "begin at -5 s"),
 }  # fmt: skip
@@ -584,6 +652,13 @@ FORMATS: dict[str, tuple[str | bytes, tuple[str, ...]]] = {
     "COCO results with detectors' numbers": (
         json.dumps([row | {"category_id": 2} for row in COCO]), ()),
     "COCO data": (json.dumps(COCO_DATA), ()),
+    "COCO with empty categories": (
+        json.dumps(COCO_DATA | {"categories": [], "annotations": [
+            {k: v for k, v in row.items() if k != "track_id"}
+            | {"image_id": row["image_id"] + 100, "attributes": {"track_id": row["track_id"]}}
+            for row in COCO]}), ()),
+    "NumPy's savetxt": (
+        re.sub(r"[^,\n]+", lambda found: f"{float(found[0]):.18e}", MOT).replace(",", " "), ()),
     "JSON with corner and size": (
         json.dumps([{"frame": r["image_id"], "class": 2, "conf": r["score"], "id": r["track_id"],
                      "bbox": r["bbox"]} for r in COCO]), ()),
