@@ -96,7 +96,7 @@ def _say_what_gets_through(forecasts: Sequence[Forecast]) -> None:
     for one in forecasts:
         say(
             f"{one.scenario.capitalize()} ({one.changes}): {one.left_per_h:.0f} vehicles per hour "
-            f"get through; {one.waiting} found no room to enter."
+            f"get through; {one.waiting} could not enter."
         )
 
 
@@ -155,12 +155,15 @@ def _seen(demand: Demand) -> str:
 def _print(forecasts: list[Forecast], streams: list[TrackStream]) -> None:
     from geoorbit_ros.cli.console import console, make_table
 
-    columns = "".join(f"|>{name}" for name in ("km/h", "veh/h", "veh/km", "s", "queue m", "max m"))
+    columns = "".join(
+        f"|>{name}" for name in ("seen km/h", "km/h", "veh/h", "veh/km", "s", "queue m", "max m")
+    )
     for one in forecasts:
         table = make_table(f"Forecast: {one.scenario}", f"lane{columns}")
         for lane in one.lanes:
             table.add_row(
                 lane.lane,
+                "–" if lane.seen_kmh is None else f"{lane.seen_kmh:.0f}",
                 "–" if lane.speed_kmh is None else f"{lane.speed_kmh:.0f}",
                 f"{lane.flow_per_h:.0f}",
                 f"{lane.density_per_km:.1f}",

@@ -34,6 +34,8 @@ MOVING_MPS = 2.0
 """Only faster vehicles count for the drivers' speeds. Chosen: slower ones stand or queue."""
 FACTOR_BOUNDS = (0.3, 2.0)
 """Of speed over limit. Chosen: slower is a queue, faster a wrong track or a wrong limit."""
+ENOUGH_SAMPLES = 40
+"""Samples of a lane for its mean speed: 20 s of vehicles. Chosen: fewer are of one or two."""
 ENOUGH_M = 1000.0
 """Distance driven on an edge from which on its own drivers are drawn: ten vehicles over 100 m.
 Chosen: larger takes drivers of other roads, smaller repeats a few."""
@@ -92,6 +94,7 @@ class Demand:
         flow_per_h: Vehicles per hour that enter each edge from outside the view.
         turns: For each edge, how many vehicles went on to which edge.
         drivers: Those who were seen.
+        lane_kmh: Mean speed in each lane in which enough was seen, by SUMO's id.
         edge_flow_per_h: Flow on every edge that was seen: the entering flows, parted by `turns`.
             What enters a junction leaves it.
     """
@@ -100,6 +103,7 @@ class Demand:
     flow_per_h: dict[str, float]
     turns: Mapping[str, Mapping[str, int]]
     drivers: Drivers
+    lane_kmh: Mapping[str, float]
     edge_flow_per_h: dict[str, float]
 
 
@@ -172,7 +176,8 @@ class ObservedTraffic:
         after = {target for targets in turns.values() for target in targets}
         roots = _balanced({e: v for e, v in flow.items() if e not in after}, turns, flow)
         drivers = self._drivers(rows)
-        return Demand(time_s, roots, turns, drivers, flow | _carried_on(roots, turns))
+        speeds = self._lane_kmh(rows)
+        return Demand(time_s, roots, turns, drivers, speeds, flow | _carried_on(roots, turns))
 
     def _flow_per_h(self, rows: NDArray[np.void], time_s: float) -> float:
         """Flow of an edge by its rows, in the stretch where most was seen.
@@ -200,6 +205,13 @@ class ObservedTraffic:
             for here, there in zip(route or [], (route or [])[1:], strict=False):
                 turns.setdefault(here, Counter())[there] += count
         return turns
+
+    def _lane_kmh(self, rows: NDArray[np.void]) -> dict[str, float]:
+        """Space mean speeds: of all samples in a lane, in which slow vehicles have more."""
+        count = np.bincount(rows["lane"], minlength=len(self._network))
+        total = np.bincount(rows["lane"], rows["speed"], minlength=len(self._network))
+        lanes = np.flatnonzero(count >= ENOUGH_SAMPLES).tolist()
+        return {self._network.lane_id[k]: round(3.6 * float(total[k] / count[k]), 1) for k in lanes}
 
     def _drivers(self, rows: NDArray[np.void]) -> Drivers:
         """Everyone who was seen driving."""

@@ -47,6 +47,7 @@ class LaneForecast:
         travel_time_s: Time to drive it at that speed.
         queue_m_mean, queue_m_max: From its end to the last vehicle slower than 5 km/h.
         queue_vehicles: Standing vehicles, on average.
+        seen_kmh: Mean speed that was seen in it; None where too little was.
     """
 
     lane: str
@@ -57,6 +58,7 @@ class LaneForecast:
     queue_m_mean: float
     queue_m_max: float
     queue_vehicles: float
+    seen_kmh: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +71,8 @@ class Forecast:
         lanes: Every lane outside junctions, in the order of the network.
         vehicles: How many were in the network at all.
         left_per_h: Vehicles that reached the end of their routes, per hour.
-        waiting: Vehicles that had found no room to enter at the end: the queue before the network.
+        waiting: Vehicles that could not enter by the end: for want of room, or because all that
+            they may use is closed.
         took_s: Time that the computer needed.
     """
 
@@ -193,6 +196,7 @@ class ForecastRun:
                 queue_m_mean=sum(queue) / max(queues.samples, 1),
                 queue_m_max=max(queue, default=0.0),
                 queue_vehicles=values.get("waitingTime", 0.0) / horizon_s,
+                seen_kmh=self._start.demand.lane_kmh.get(lane.attrib["id"]),
             )
         summary = list(Xml.parse(folder / "summary.xml").getroot().iter("step"))
         last = {key: float(value) for key, value in (summary[-1].items() if summary else ())}
@@ -209,8 +213,9 @@ class ForecastRun:
             changes=changed.describe(),
             lanes=tuple(known),
             vehicles=int(last.get("inserted", 0.0)),
-            left_per_h=last.get("ended", 0.0) * 3600.0 / horizon_s,
-            waiting=int(last.get("waiting", 0.0)),
+            # Not "ended" and "waiting": SUMO ends vehicles without a route, and forgets them.
+            left_per_h=last.get("arrived", 0.0) * 3600.0 / horizon_s,
+            waiting=int(last.get("loaded", 0.0) - last.get("inserted", 0.0)),
             took_s=round(took_s, 3),
         )
 

@@ -187,6 +187,24 @@ def test_vehicles_arrive_in_the_lanes_in_which_they_were_seen(
     assert set(lanes(["first_0"])).isdisjoint({"0"})
 
 
+def test_a_closed_road_lets_nobody_through(network: RoadNetwork, seen: Seen) -> None:
+    """Those who can't enter wait; they are not counted as arrived."""
+    everything = ["first_0", "first_1", "second_0", "second_1"]
+    scenario = parse_scenario(everything, [], network, "test")
+    run = ForecastRun(network, start(seen, 120.0), scenario, 60.0)
+    open_road, closed = run.wait()
+    run.close()
+    assert open_road.left_per_h > 0.5 * FLOW_PER_H
+    assert closed.left_per_h < 0.1 * open_road.left_per_h
+    assert closed.waiting > 0.8 * FLOW_PER_H * 120.0 / 3600.0
+    assert open_road.waiting < 5
+
+
+def test_the_speeds_that_were_seen_stand_beside(forecasts: list[Forecast]) -> None:
+    for lane in forecasts[0].lanes:
+        assert lane.seen_kmh == pytest.approx(3.6 * SPEED_MPS, rel=0.02)
+
+
 def test_broken_tracks_add_no_traffic(network: RoadNetwork, seen: Seen) -> None:
     broken = Seen(network, broken=True).demand
     assert broken.flow_per_h["first"] == pytest.approx(seen.demand.flow_per_h["first"], rel=0.03)
