@@ -32,6 +32,7 @@ from geoorbit_ros.cli.inputs import (
 
 if TYPE_CHECKING:
     from geoorbit_ros.cli.camera_run import CameraJob
+    from geoorbit_ros.storage.frames.source import FrameSource
 
 DETECTIONS, TRACKS, VIDEO = "detections.txt", "tracks.txt", "annotated.mp4"
 
@@ -71,7 +72,6 @@ def process(
     Example: [bold]geoorbit process north.mp4 --calibration calibration.csv --out north[/bold]
     """
     from geoorbit_ros.cli.camera_run import CameraJob
-    from geoorbit_ros.cli.console import console, print_lanes, print_remarks
     from geoorbit_ros.cli.images import ImageOptions
     from geoorbit_ros.cli.resume import EarlyEnd, prepared_run
     from geoorbit_ros.detection.detector import DetectorSettings
@@ -93,10 +93,16 @@ def process(
             job.find_lanes(images, duration, folder / VIDEO if video else None)
             _write_boxes(job, folder)
             job.write(folder, images)
-        print_lanes(job.lane_map, f"Lanes of {name}")
-        print_remarks(images.remarks, *job.reports)
-        console.print(f" {run.looked_at}; wrote {out}", soft_wrap=True)
+        _tell(job, images, out)
         early.finish()
+
+
+def _tell(job: CameraJob, images: FrameSource, out: Path) -> None:
+    from geoorbit_ros.cli.console import console, print_lanes, print_remarks
+
+    print_lanes(job.lane_map, f"Lanes of {job.camera_id}")
+    print_remarks(images.remarks, *job.reports)
+    console.print(f" {job.detection.looked_at}; wrote {out}", soft_wrap=True)
 
 
 def _write_boxes(job: CameraJob, folder: Path) -> None:

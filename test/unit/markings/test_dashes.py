@@ -15,7 +15,7 @@ STATIONS = 480
 
 def strip(along_m: float = 0.1, sharp_m: float = 120.0) -> RoadStrip:
     """A straight road that is resolved to a distance."""
-    station = ALONG_M * np.arange(STATIONS)
+    station = np.asarray(ALONG_M * np.arange(STATIONS), dtype=np.float64)
     offset = np.linspace(-2.0, 2.0, 201)
     along = np.where(station < sharp_m, along_m, 2.0)[:, None] + np.zeros(len(offset))
     shape = (STATIONS, len(offset))

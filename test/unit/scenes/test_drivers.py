@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from made_scenes import changed
@@ -80,10 +82,7 @@ def test_a_single_lane_has_no_lane_beside() -> None:
     own = load_scene("on_ramp_merge")
     single = next(road.id for road in own.roads if road.lanes == 1)
     given = record(np.zeros((STEPS, 10), np.int64))
-    given = TrafficRecord(
-        *(getattr(given, name) for name in ("step", "vehicle", "xy", "heading", "speed", "lane")),
-        [(single, 0)], given.vehicle_types, given.vehicle_sizes,
-    )  # fmt: skip
+    given = replace(given, lane_names=[(single, 0)])
     habits = with_measured_drivers(own).traffic.model_copy(
         update={"driver_offset_sigma_m": 0.0, "wander_sigma_m": 0.0}
     )
