@@ -7,6 +7,7 @@ be quick where there is one.
 
 from __future__ import annotations
 
+import re
 import struct
 import zlib
 from bisect import bisect_left
@@ -36,6 +37,10 @@ MAX_CHUNK_BYTES = 1 << 30
 """Chunks that say they are larger are damaged. Chosen: rosbag2 writes 768 KiB, other programs some
 megabytes; larger lets a damaged number take all memory."""
 DAMAGED = "messages in a damaged chunk"
+SEARCHED_BYTES = 1 << 22
+"""So far behind a damage the next message is looked for. Chosen: more takes seconds."""
+NEAR_NS = 86_400 * 10**9
+"""The next message is of the same day: other bytes that look like one are not."""
 _RUN = 1000
 """Messages outside of chunks that are put in order at once. Chosen: more take memory."""
 _RECORD = struct.Struct("<BQ")
@@ -136,7 +141,7 @@ class McapFile:
                     self._cut_off(end)
                 return
             if code == 0 or (at + size > end and code != CHUNK):
-                resume = self._after_damage(file, at, end)
+                resume = self._next_message(file, at, end) or self._after_damage(file, at, end)
                 if resume is None:
                     self._cut_off(end)
                     return
@@ -329,6 +334,25 @@ class McapFile:
             f"{self._path.name} has no end (cut off, or its recorder still runs); it is read as "
             f"far as it goes, {size} bytes"
         )
+
+    def _next_message(self, file: BinaryIO, damaged: int, end: int) -> int | None:
+        """The next message behind damaged records, in a file whose messages are in no chunks."""
+        last = self._blocks[-1] if self._blocks else None
+        if last is None or not last.loose:
+            return None
+        near_ns = last.loose[-1][0]
+        file.seek(damaged)
+        data = file.read(min(SEARCHED_BYTES, end - damaged))
+        for found in re.finditer(bytes([MESSAGE]), data):
+            at = found.start()
+            if at + _RECORD.size + _MESSAGE.size > len(data):
+                break
+            _, size = _RECORD.unpack_from(data, at)
+            channel, _, time_ns, _ = _MESSAGE.unpack_from(data, at + _RECORD.size)
+            known = channel in self._raw_channels and abs(time_ns - near_ns) < NEAR_NS
+            if known and _MESSAGE.size <= size <= end - damaged - at:
+                return damaged + at
+        return None
 
     def _after_damage(self, file: BinaryIO, damaged: int, end: int) -> int | None:
         """Where the next record stands behind damaged ones, by the index at the file's end."""

@@ -180,6 +180,14 @@ def half_zeros(made: MadeMcap) -> bytes:
     return bytes(content)
 
 
+def zeros_outside_of_chunks(made: MadeMcap) -> bytes:
+    made.chunk = 0
+    content = bytearray(made.content(MESSAGES))
+    begin, end = (content.index(MESSAGES[k][2]) for k in (150, 170))
+    content[begin : end - 40] = bytes(end - 40 - begin)
+    return bytes(content)
+
+
 def zeros_in_the_middle(made: MadeMcap) -> bytes:
     content = bytearray(made.content(MESSAGES))
     at = content.index(made.data[4])
@@ -214,6 +222,7 @@ def nothing_behind_the_end(made: MadeMcap) -> bytes:
         (short_length, 1, "1 of 300 messages left out: messages in a damaged chunk"),
         (wrong_length_and_no_index, 70, "messages in a damaged chunk"),
         (half_zeros, 50, "49 of 300 messages left out: messages in a damaged chunk"),
+        (zeros_outside_of_chunks, 20, "records that can't be read are passed over"),
         (zeros_in_the_middle, 100, "records that can't be read are passed over"),
         (zeros_and_no_index, 200, "records that can't be read are passed over"),
         (zeros_and_no_summary, 200, "has no end"),
