@@ -137,6 +137,8 @@ def _routes(network: RoadNetwork, start: ForecastStart, scenario: Scenario) -> X
         driver = draw.driver(edge)
         depart_lane = "random"
         seen = driver.edge == edge and network.lane_id[driver.lane] not in scenario.closed
+        # One that was seen in a lane for others will not drive there: most don't.
+        seen = seen and bool(draw.may[driver.kind, driver.lane])
         if seen and time >= last_s.get(driver.lane, -np.inf) + HEADWAY_S:
             depart_lane, last_s[driver.lane] = str(network.index[driver.lane]), time
         _vehicle(

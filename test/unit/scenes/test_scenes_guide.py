@@ -80,6 +80,8 @@ def test_defaults_are_told_as_they_are(prefix: str, model: type[BaseModel]) -> N
             assert told[0] == ", ".join(f"{k} {v}" for k, v in field.default.items())
         elif isinstance(field.default, tuple):
             assert told[0] == str(list(field.default))
+        elif isinstance(field.default, bool):
+            assert told[0] == str(field.default).lower(), prefix + key
         elif field.default is not None:
             number = re.match(r"-?[\d.]+", told[0])
             assert number, prefix + key
