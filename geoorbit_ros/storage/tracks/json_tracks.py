@@ -29,6 +29,10 @@ _BZIP2 = b"BZh"
 _FRAME_KEYS = (
     "frame", "frame_index", "frame_id", "frame_number", "frame_num", "frame_idx", "image_id",
 )  # fmt: skip
+_BOX_KEYS = (
+    "detections", "predictions", "results", "annotations", "tracks", "objects", "vehicles", "boxes",
+)  # fmt: skip
+"""Names of lists of boxes, in a file or in one image."""
 _TIME_KEYS = (
     "time", "timestamp", "time_s", "timestamp_s", "time_ms", "timestamp_ms", "stamp_ns", "time_ns",
     "timestamp_ns", "datetime",
@@ -229,8 +233,7 @@ def _rows(content: Any) -> Iterable[tuple[int | None, Mapping[str, Any]]]:
     """All objects with a box, with the number of the image where lists count images."""
     if isinstance(content, Mapping):
         inner = next(
-            (content[k] for k in ("detections", "predictions", "results", "frames", "data",
-                                  "annotations")
+            (content[k] for k in (*_BOX_KEYS, "frames", "images", "data")
              if isinstance(content.get(k), list | Mapping)), None,
         )  # fmt: skip
         if inner is not None:
@@ -248,8 +251,7 @@ def _rows(content: Any) -> Iterable[tuple[int | None, Mapping[str, Any]]]:
             yield from ((number, row) for row in item if isinstance(row, Mapping))
         elif isinstance(item, Mapping):
             rows = next(
-                (item[k] for k in ("detections", "predictions", "results", "boxes")
-                 if isinstance(item.get(k), list)), None,
+                (item[k] for k in _BOX_KEYS if isinstance(item.get(k), list)), None,
             )  # fmt: skip
             if rows is None:
                 yield None, item

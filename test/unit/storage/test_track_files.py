@@ -649,6 +649,11 @@ FORMATS: dict[str, tuple[str | bytes, tuple[str, ...]]] = {
     "MOTChallenge with semicolons and decimal commas": (MOT_WITH_COMMAS, ()),
     "MOTChallenge with tabs and decimal commas": (MOT_WITH_COMMAS.replace(";", "\t"), ()),
     "COCO results": (json.dumps(COCO), ()),
+    "a list of tracks per image, a line each": (
+        "\n".join(json.dumps({"frame_id": k, "tracks": [
+            {"track_id": i, "class": 2, "conf": s,
+             "bbox": [x - w / 2, y - h / 2, x + w / 2, y + h / 2]}
+            for i, _, f, _, s, x, y, w, h in made_rows() if f == k]}) for k in range(12)), ()),
     "COCO results with detectors' numbers": (
         json.dumps([row | {"category_id": 2} for row in COCO]), ()),
     "COCO data": (json.dumps(COCO_DATA), ()),
