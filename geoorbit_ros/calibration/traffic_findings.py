@@ -331,8 +331,8 @@ def other_size_finding(
 ) -> Iterator[Remark]:
     """Control points of an image of another size, where these fit no camera of the given one.
 
-    Their plane fits a camera of that size, and cars of its pixels have the sizes of cars much
-    rather than those of the given image, whose plane fits a camera only with distorted axes.
+    Said where their plane fits a camera of that size in which cars have the sizes of cars, while in
+    the given size cars have other sizes, or some points lie outside of the image.
     """
     track_id, box = _whole_cars(traffic, image_size)
     if not len(box):

@@ -256,16 +256,24 @@ def _merged(
         changed = yaml.safe_load(yaml.serialize(value)) != entry.get(key.value)
         if key.value in FOUND_KEYS and changed:
             comments = [line for line in own if line.strip().startswith("#")]
-            behind = re.search(r"\s#.*", lines[value.end_mark.line][value.end_mark.column :])
             given = {key.value: entry[key.value]} if key.value in entry else {}
             own = [*_block(given, " " * column), *comments]
-            if behind and given:
-                own[0] = own[0].rstrip("\n") + f"  {behind[0].strip()}\n"
+            if given and (behind := _comment_behind(value, lines)):
+                own[0] = own[0].rstrip("\n") + f"  {behind}\n"
         new += own
     there = {key.value for key, _ in item.value}
     new += _block({k: v for k, v in entry.items() if k not in there}, " " * column)
     new[first] = dash + new[first][column:]
     return new
+
+
+def _comment_behind(value: yaml.Node, lines: list[str]) -> str:
+    """The comment behind a value on its line; empty for none, and for values of several lines."""
+    end = value.end_mark
+    if value.start_mark.line != end.line:  # or the end is where the next key begins
+        return ""
+    found = re.search(r"\s#.*", lines[end.line][end.column :])
+    return found[0].strip() if found else ""
 
 
 def _cameras(file: Path, text: str) -> tuple[yaml.SequenceNode, list[str]]:
@@ -307,6 +315,6 @@ def _block(values: Mapping[str, object], indent: str) -> list[str]:
     text = yaml.safe_dump(
         dict(values), sort_keys=False, allow_unicode=True, default_flow_style=None
     )
-    if text.startswith("{"):  # a single key
+    if text.startswith("{"):  # PyYAML's way where no value is a list or has keys
         text = yaml.safe_dump(dict(values), allow_unicode=True, default_flow_style=False)
     return [f"{indent}{line}\n" for line in text.splitlines()]

@@ -41,6 +41,8 @@ _ONEWAY = ("yes", "no", "true", "false", "1", "0", "-1", "reverse")
 _CHECKED = (*_COUNTS, *_LIMITS, "width", "oneway", "driving_side")
 NARROWEST_M, WIDEST_M = 2.0, 60.0
 """Widths of whole roads: a farm track, and a motorway drawn as one line with all its lanes."""
+_NARROW = ("footway", "path", "cycleway", "steps", "pedestrian", "bridleway", "track", "corridor")
+"""Ways that may be narrower; no car drives there, so that their width says nothing of lanes."""
 _TURNED = ("reversible", "alternating")
 _MINI: dict[str, Side] = {"clockwise": "left", "anticlockwise": "right"}
 """Direction of a mini roundabout (wiki, highway=mini_roundabout), and the side of its traffic."""
@@ -244,7 +246,8 @@ def _check_tags(roads: list[tuple[Xml.Element, dict[str, str]]], report: InputRe
     wrong: dict[str, list[str]] = {}
     for way, tags in roads:
         before = dict(tags)
-        for key in [k for k in _CHECKED if k in tags]:
+        narrow = tags["highway"] in _NARROW
+        for key in [k for k in _CHECKED if k in tags and not (narrow and k == "width")]:
             value, *others = (part.strip() for part in tags.pop(key).split(";"))
             told = ["several values, of which the first is used"] if others else []
             found, fault = _right_value(key, value)
@@ -310,13 +313,12 @@ def _at_one_place(
         kept = np.sort(max(np.split(order, apart), key=lambda part: (len(part), -part.min())))
     if len(kept) == len(lines):
         return roads, lines
-    far = [roads[k][0] for k in np.setdiff1d(np.arange(len(lines)), kept)]
+    others = np.setdiff1d(np.arange(len(lines)), kept)
+    far = [roads[k][0] for k in others]
     for way in far:
         root.remove(way)
     text = "far from the other roads: a map is of one place"
-    place = ", ".join(
-        f"{value:.3f}" for value in begin[np.setdiff1d(np.arange(len(lines)), kept)[0]]
-    )
+    place = ", ".join(f"{value:.3f}" for value in begin[others[0]])
     report.add(Treatment.LEFT_OUT, len(far), text, f"way {far[0].get('id')} at {place}")
     return [roads[k] for k in kept], [lines[k] for k in kept]
 

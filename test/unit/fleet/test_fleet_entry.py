@@ -164,6 +164,8 @@ HAND_WRITTEN = {
     "    enabled: false\n",
     "a dash on its own line": "-\n    id: one\n    source: scene:s_curve  # q\n"
     "    enabled: false\n",
+    "keys below keys at the end": "- id: one\n    source: scene:s_curve\n    enabled: false\n"
+    "    datum:\n      latitude_deg: 43.0\n      longitude_deg: -89.0\n",
     "an alias in braces": "- {id: one, source: 'scene:s_curve', parameters: *p, enabled: false}\n",
     "an alias in a block": "- id: one\n    source: scene:s_curve\n    enabled: false\n"
     "    parameters: *p\n",
@@ -190,6 +192,27 @@ def test_any_spelling_of_a_camera_is_replaced_and_taken_out(
     )
     assert [c.id for c in remove_camera(file, "one").cameras] == ["two"]
     assert "one" not in file.read_text()
+
+
+def test_the_last_key_of_a_file_may_have_keys_and_its_comments_stay_where_they_are(
+    tmp_path: Path,
+) -> None:
+    file = tmp_path / "fleet.yaml"
+    file.write_text(
+        "name: a\ncameras:\n  - id: one\n    datum:\n      latitude_deg: 43.0\n"
+        "      longitude_deg: -89.0\n    source: scene:s_curve  # the film\n"
+    )
+    place = {"latitude_deg": 44.0, "longitude_deg": -88.0}
+    add_camera(file, {"id": "one", "source": "scene:s_curve", "datum": place}, replace=True)
+    assert file.read_text().count("# the film") == 1
+    assert "source: scene:s_curve  # the film" in file.read_text()
+    file.write_text(
+        "name: a\ncameras:\n  - id: one\n    source: scene:s_curve\n    datum:\n"
+        "      latitude_deg: 43.0\n      longitude_deg: -89.0"
+    )
+    fleet = add_camera(file, {"id": "one", "source": "scene:s_curve", "datum": place}, replace=True)
+    assert fleet.cameras[0].datum is not None
+    assert fleet.cameras[0].datum.latitude_deg == 44.0
 
 
 def test_a_camera_that_another_one_uses_is_not_taken_out(tmp_path: Path) -> None:

@@ -117,6 +117,10 @@ GOOD: dict[str, tuple[bytes | str, tuple[str, ...]]] = {
         TEXT.replace(HIGHWAY, HIGHWAY + '<tag k="width" v="0.5"/>'),
         ("widths that no road has are not used (first: way 10: width=0.5)",),
     ),
+    "a narrow path beside the road": (
+        TEXT.replace('v="primary"/>', 'v="footway"/><tag k="width" v="0.8"/>', 1),
+        (),
+    ),
     "an odd oneway": (
         TEXT.replace(HIGHWAY, HIGHWAY + '<tag k="oneway" v="maybe"/>'),
         ("neither yes, no nor -1, so not used",),
