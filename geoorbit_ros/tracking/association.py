@@ -108,6 +108,8 @@ def candidate_pairs(
             cost = (TAIL + 4.0) * math.log1p(distance / TAIL) + alone + doubt[j]
             if detection.class_id != track.class_id:
                 cost += CLASS_COST
+            if cost >= ONE_VEHICLE_LIMIT:
+                continue  # the spread costs more than nothing
             spread_cost = math.log(spread_ratio(state, variance))
             if cost + LIKELIHOOD_WEIGHT * spread_cost < ONE_VEHICLE_LIMIT:
                 cost += SPREAD_WEIGHT * spread_cost

@@ -106,49 +106,64 @@ def start(box: Four, variance: Four, rate: Four, rate_variance: Four) -> State:
 def predict(state: State, elapsed_s: float, noise: MotionNoise) -> State:
     """State `elapsed_s` after the observation that `state` is of."""
     x, y, width, height = state
-    across = min(max(width[RATE], -MAX_GROWTH), MAX_GROWTH)
-    upward = min(max(height[RATE], -MAX_GROWTH), MAX_GROWTH)
+    across, upward = _bounded(width[RATE]), _bounded(height[RATE])
     # Shares of the time to contact that are left. Of both sides' growth, the middle moves with the
     # mean: noise halves, and a turning vehicle's width says little.
-    left = 1.0 - min(0.5 * (across + upward) * elapsed_s, MAX_APPROACH)
-    left_across = 1.0 - min(across * elapsed_s, MAX_APPROACH)
-    left_upward = 1.0 - min(upward * elapsed_s, MAX_APPROACH)
-    step = elapsed_s / left
-    change = noise.acceleration**2 * math.exp(width[MEAN] + height[MEAN])
+    left = _left(0.5 * (across + upward) * elapsed_s)
+    left_across, left_upward = _left(across * elapsed_s), _left(upward * elapsed_s)
+    step, pace = elapsed_s / left, 1.0 / (left * left)
+    drift = noise.acceleration**2 * math.exp(width[MEAN] + height[MEAN]) * step
     growth = noise.growth**2
+    step_across, step_upward = elapsed_s / left_across, elapsed_s / left_upward
     return (
-        _carried(x, x[MEAN] + step * x[RATE], x[RATE], elapsed_s, left, change),
-        _carried(y, y[MEAN] + step * y[RATE], y[RATE], elapsed_s, left, change),
+        _carried(x, x[MEAN] + step * x[RATE], pace * x[RATE], step, pace, drift),
+        _carried(y, y[MEAN] + step * y[RATE], pace * y[RATE], step, pace, drift),
         _carried(
             width,
             width[MEAN] - math.log(left_across),
-            across * left_across,
-            elapsed_s,
-            left_across,
-            growth,
+            across / left_across,
+            step_across,
+            1.0 / (left_across * left_across),
+            growth * step_across,
         ),
         _carried(
             height,
             height[MEAN] - math.log(left_upward),
-            upward * left_upward,
-            elapsed_s,
-            left_upward,
-            growth,
+            upward / left_upward,
+            step_upward,
+            1.0 / (left_upward * left_upward),
+            growth * step_upward,
         ),
     )
 
 
-def _carried(
-    axis: Axis, mean: float, rate: float, elapsed_s: float, left: float, intensity: float
-) -> Axis:
-    """`axis` with its new mean, later; the rate grows as the square of the time `left` shrinks."""
+def _bounded(growth: float) -> float:
+    if growth > MAX_GROWTH:
+        return MAX_GROWTH
+    return growth if growth > -MAX_GROWTH else -MAX_GROWTH
+
+
+def _left(approach: float) -> float:
+    """Share of the time to contact that is left after a share `approach` of it."""
+    return 1.0 - (approach if approach < MAX_APPROACH else MAX_APPROACH)
+
+
+def _carried(axis: Axis, mean: float, rate: float, step: float, pace: float, drift: float) -> Axis:
+    """`axis` with its new mean and rate.
+
+    Args:
+        axis: At the observation.
+        mean: The new one.
+        rate: The new one.
+        step: Stretched time since, seconds.
+        pace: How many times faster stretched time passes now.
+        drift: Variance of the random change of the rate.
+    """
     _, _, variance, covariance, rate_variance = axis
-    step, pace = elapsed_s / left, 1.0 / (left * left)
-    drift = intensity * step
     carried = covariance + step * rate_variance
     return (
         mean,
-        pace * rate,
+        rate,
         variance + step * (covariance + carried) + drift * step * step / 3.0,
         pace * (carried + 0.5 * drift * step),
         pace * pace * (rate_variance + drift),

@@ -148,6 +148,7 @@ class Track:
         entering: Whether the border cut all boxes so far.
         evidence: Log-odds that the track is a vehicle.
         score_bins: Bins of its first scores, see `ScoreModel`.
+        overlap: How far it began in the box of another vehicle, see `OverlapModel`.
         track_id: 0 until the track is confirmed.
         hits: Observations.
         missed: Frames since the last observation.
@@ -167,6 +168,7 @@ class Track:
     entering: bool
     evidence: float
     score_bins: list[int]
+    overlap: int = 0
     track_id: int = 0
     hits: int = 1
     missed: int = 0

@@ -48,9 +48,11 @@ from geoorbit_ros.tracking.track import Detection, Track, prepare
 from geoorbit_ros.tracking.traffic_model import (
     KEPT_SCORES,
     Flow,
+    OverlapModel,
     PredictionGate,
     ScoreModel,
     UnsteadyMotion,
+    covered_share,
     is_hidden,
     log_odds,
     surprise,
@@ -228,6 +230,7 @@ class Tracker:
         self._flow = Flow()
         self._gate = PredictionGate()
         self._scores = ScoreModel(self._p.birth_score)
+        self._overlaps = OverlapModel()
         self._motion = UnsteadyMotion(MotionNoise())
         self._stamp_ns: int | None = None
         self._weight = 1.0
@@ -274,6 +277,7 @@ class Tracker:
             predicted = [state for i, state in enumerate(predicted) if i not in left]
             self._end(left)
         self._begin(stamp_ns, found, set(partner.values()))
+        self._hold_against_neighbours()
         self._confirm()
         return self._output(stamp_ns, predicted, found)
 
@@ -369,6 +373,20 @@ class Tracker:
             track.score_bins.append(detection.score_bin)
         if track.hits == LASTING_HITS - 1:
             self._scores.learn(track.score_bins, lasted=True)
+            self._overlaps.learn(track.overlap, lasted=True)
+
+    def _hold_against_neighbours(self) -> None:
+        """Take what new tracks' overlap with vehicles already followed says of them."""
+        seen = [track for track in self._tracks if not track.missed]
+        followed = [track.box for track in seen if track.track_id]
+        for track in seen:
+            if track.track_id or track.hits > KEPT_SCORES:
+                continue
+            kind = self._overlaps.kind_of(covered_share(track.box, followed))
+            if kind > track.overlap:
+                evidence = self._overlaps.evidence
+                track.evidence += evidence(kind) - evidence(track.overlap)
+                track.overlap = kind
 
     def _confirm(self) -> None:
         for track in self._tracks:
@@ -407,6 +425,7 @@ class Tracker:
             self._gate.learn(track.predicted_open, track.predicted_hidden, right=False)
             if track.hits <= EARLY_HITS and not track.cut:
                 self._scores.learn(track.score_bins, lasted=False)
+                self._overlaps.learn(track.overlap, lasted=False)
             self.counts.deaths += track.track_id > 0
         self._tracks = [track for i, track in enumerate(self._tracks) if i not in ended]
 

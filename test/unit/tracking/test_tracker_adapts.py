@@ -17,7 +17,12 @@ from geoorbit_ros.tracking.motion_model import (
 from geoorbit_ros.tracking.parameters import TrackerParameters
 from geoorbit_ros.tracking.track import prepare
 from geoorbit_ros.tracking.tracker import Tracker
-from geoorbit_ros.tracking.traffic_model import KEPT_SCORES, ScoreModel, UnsteadyMotion
+from geoorbit_ros.tracking.traffic_model import (
+    KEPT_SCORES,
+    OverlapModel,
+    ScoreModel,
+    UnsteadyMotion,
+)
 
 SIZE = (1200, 400)
 STEP_NS = 100_000_000
@@ -138,3 +143,34 @@ def test_noise_grows_with_errors_and_falls_back_to_that_of_a_still_camera() -> N
     for _ in range(200):
         motion.learn([0.01] * 6)
     assert motion.noise.acceleration == pytest.approx(still)
+
+
+def test_an_overlap_speaks_against_a_track_where_tracks_that_began_so_ended_early() -> None:
+    model = OverlapModel()
+    beside, partly, inside = (model.kind_of(share) for share in (0.0, 0.4, 0.9))
+    assert [model.evidence(kind) for kind in (beside, partly, inside)] == [0.0, 0.0, 0.0]
+    for _ in range(10):
+        model.learn(beside, lasted=True)
+        model.learn(partly, lasted=True)
+        model.learn(inside, lasted=False)
+    assert model.evidence(beside) == 0.0
+    assert model.evidence(partly) == pytest.approx(0.0)
+    assert model.evidence(inside) < -2.0
+
+
+@pytest.mark.parametrize(("split", "expected"), [(True, (40, 46)), (False, (80, 80))])
+def test_pieces_of_lorries_get_no_ids_once_the_detector_is_known_to_split_them(
+    split: bool, expected: tuple[int, int]
+) -> None:
+    """40 lorries; each is found in two for three images, or has a car before it all the way."""
+    tracker = Tracker(parameters())
+    for k in range(800):
+        x = 60.0 + 50.0 * (k % 20)
+        boxes = [(x, 250.0, 160.0, 120.0, 0.9)]
+        if not split:
+            boxes.append((x + 20.0, 270.0, 60.0, 50.0, 0.9))
+        elif k % 20 in (8, 9, 10):
+            boxes.append((x + 20.0, 230.0, 60.0, 50.0, 0.9))
+        observed(tracker, k, detections(*boxes))
+    fewest, most = expected
+    assert fewest <= tracker.counts.births <= most
