@@ -95,7 +95,8 @@ def main() -> int:
     """Run the chosen scripts, print the table, and return the exit status."""
     scripts = {p.stem: p for p in sorted(FOLDER.glob("*.py")) if p != Path(__file__)}
     parser = argparse.ArgumentParser(prog="./dev bench", description=__doc__)
-    parser.add_argument("script", nargs="*", help=f"of {', '.join(scripts)}; default: all")
+    listed = f"of {', '.join(scripts)}; default: those with a baseline"
+    parser.add_argument("script", nargs="*", help=listed)
     parser.add_argument("--update", action="store_true", help="accept the ratios as baseline")
     options = parser.parse_args()
     if unknown := set(options.script) - set(scripts):
@@ -104,7 +105,8 @@ def main() -> int:
     console = Console()
     table = Table("script", "measure", "ratio", "baseline", "limit", "")
     failed = False
-    for script in options.script or scripts:
+    accepted = [name for name in scripts if (BASELINES / f"{name}.json").exists()]
+    for script in options.script or accepted:
         console.print(f"[dim]running {script} …")
         try:
             results = run_script(scripts[script])
