@@ -68,7 +68,7 @@ def compare_csv(folder: Path, frames: Frames) -> None:
 
     ours, peer, rows = best_s(lambda: read_track_csv(path)), best_s(plain), len(frames.rows)
     note = f"{rows} rows read in {1e3 * ours:.1f} ms, written in {1e3 * write_s:.1f} ms"
-    report("read tracks.csv / Python's csv module", ours / peer, 0.3, note)
+    report("read tracks.csv / Python's csv module", ours / peer, 0.4, note)
 
 
 def compare_messages(frames: Frames) -> None:

@@ -77,6 +77,8 @@ _DIMENSION = struct.Struct("<II")
 """Size and stride of std_msgs/MultiArrayDimension, after its label."""
 
 
+DASH_M, DASH_PERIOD_M = 3.0, 9.0
+"""Dashes as markers show them: 3 m of 9 m, a usual lane line."""
 JPEG_FORMAT, PNG_FORMAT = "bgr8; jpeg compressed bgr8", "bgr8; png compressed bgr8"
 """As compressed_image_transport writes them."""
 PLANE_LABEL = "image width and height, matrix (3x3), spread (8x3x3)"
@@ -392,19 +394,28 @@ def lane_markers(lane_map: LaneMap, frame_id: str) -> MarkerArray:
     """Lines, an arrow along the direction of travel and a label for every lane.
 
     The first marker deletes all older ones, so that vanished lanes vanish, also for a late joiner
-    who sees this message alone. Confirmed lanes are opaque, tentative ones faint.
+    who sees this message alone. Confirmed lanes are opaque, tentative ones faint. Boundaries on
+    paint are drawn as it is: dashed (a LINE_LIST), yellow.
     """
     header = Header(stamp=time_from_ns(lane_map.stamp_ns), frame_id=frame_id)
     markers = [Marker(header=header, action=Marker.DELETEALL)]
     for lane in lane_map.lanes:
         alpha = 1.0 if lane.status == "confirmed" else 0.3
-        for role, line, colour in (
-            ("centerline", lane.centerline_m, ColorRGBA(r=0.2, g=0.8, b=1.0, a=alpha)),
-            ("left", lane.left_m, ColorRGBA(r=1.0, g=1.0, b=1.0, a=alpha)),
-            ("right", lane.right_m, ColorRGBA(r=1.0, g=1.0, b=1.0, a=alpha)),
+        for role, line, edge in (
+            ("centerline", lane.centerline_m, None),
+            ("left", lane.left_m, lane.left_edge),
+            ("right", lane.right_m, lane.right_edge),
         ):
-            marker = _marker(header, role, lane.lane_id, Marker.LINE_STRIP, colour)
-            marker.points = [Point(x=x, y=y) for x, y in line.tolist()]
+            colour = ColorRGBA(r=1.0, g=1.0, b=1.0, a=alpha)
+            if role == "centerline":
+                colour = ColorRGBA(r=0.2, g=0.8, b=1.0, a=alpha)
+            elif edge is not None and edge.colour == "yellow":
+                colour = ColorRGBA(r=1.0, g=0.85, b=0.1, a=alpha)
+            dashed = edge is not None and edge.marking == "dashed"
+            kind = Marker.LINE_LIST if dashed else Marker.LINE_STRIP
+            marker = _marker(header, role, lane.lane_id, kind, colour)
+            points = _dashes(line) if dashed else line
+            marker.points = [Point(x=x, y=y) for x, y in points.tolist()]
             marker.scale.x = 0.15
             markers.append(marker)
         x, y, heading = lane.middle
@@ -419,6 +430,14 @@ def lane_markers(lane_map: LaneMap, frame_id: str) -> MarkerArray:
         label.text = f"{lane.lane_id} ({lane.width_m:.1f} m)"
         markers += [arrow, label]
     return MarkerArray(markers=markers)
+
+
+def _dashes(line: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Ends (2 N, 2) of dashes along a line: drawn ones, not those of the road."""
+    arc = np.append(0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T)))
+    begin = np.arange(0.0, arc[-1], DASH_PERIOD_M)
+    ends = np.column_stack([begin, np.minimum(begin + DASH_M, arc[-1])]).ravel()
+    return np.column_stack([np.interp(ends, arc, axis) for axis in line.T])
 
 
 def pixel_polygon(

@@ -42,6 +42,8 @@ class LaneEdge:
         colour: `white` or `yellow`; empty without a line.
         marking_width_m: Width of the line; NaN without one.
         painted_share: Share of the lane's length along which the line is seen.
+        sigma_along_m: 1-sigma error at each of the boundary's points; empty where it is `sigma_m`
+            everywhere, or the producer doesn't say.
     """
 
     source: Literal["paint", "traffic"]
@@ -50,6 +52,7 @@ class LaneEdge:
     colour: MarkingColour = ""
     painted_share: float = 0.0
     marking_width_m: float = float("nan")
+    sigma_along_m: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

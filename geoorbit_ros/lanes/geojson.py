@@ -203,6 +203,8 @@ def _edge_properties(edge: LaneEdge | None) -> dict[str, Any]:
     about = {"boundary_source": edge.source, "boundary_sigma_m": _rounded(edge.sigma_m, 3)}
     if edge.source == "traffic":
         return about
+    if edge.sigma_along_m:
+        about["boundary_sigma_along_m"] = [round(value, 3) for value in edge.sigma_along_m]
     return about | {
         "marking": edge.marking,
         "marking_colour": edge.colour,

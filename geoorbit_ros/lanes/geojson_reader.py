@@ -234,7 +234,9 @@ def _lane(collection: Collection, lane_id: int, roles: dict[str, Line], datum: D
         else:
             half = 0.5 * (width if np.isfinite(width) else DRAWN_WIDTH_M)
             sides.append(offset_line(center, sign * half))
-    edges = [_edge(roles[role].properties) if role in roles else None for role in ROLES[1:]]
+    edges = [
+        _edge(roles[role].properties, len(center)) if role in roles else None for role in ROLES[1:]
+    ]
     both = "left" in lines and "right" in lines
     if both and _on_left(center, sides[1]) > 0.0 > _on_left(center, sides[0]):
         sides.reverse()
@@ -262,8 +264,8 @@ def _lane(collection: Collection, lane_id: int, roles: dict[str, Line], datum: D
     )
 
 
-def _edge(properties: dict[str, Any]) -> LaneEdge | None:
-    """What a boundary was taken from, where the file says so in this program's words."""
+def _edge(properties: dict[str, Any], points: int) -> LaneEdge | None:
+    """What a boundary of so many points was taken from, in this program's words."""
     source, sigma_m = properties.get("boundary_source"), properties.get("boundary_sigma_m")
     sigma_m = float(sigma_m) if is_number(sigma_m) else float("nan")
     if source == "traffic":
@@ -281,7 +283,15 @@ def _edge(properties: dict[str, Any]) -> LaneEdge | None:
         colour,
         float(share) if is_number(share) else float("nan"),
         float(width_m) if is_number(width_m) else float("nan"),
+        _sigma_along(properties.get("boundary_sigma_along_m"), points),
     )
+
+
+def _sigma_along(given: object, points: int) -> tuple[float, ...]:
+    """The errors at a boundary's points; none where they are not one number for each."""
+    if not isinstance(given, list) or len(given) != points or not all(map(is_number, given)):
+        return ()
+    return tuple(map(float, given))
 
 
 def _same_way(center: NDArray[np.float64], line: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -55,6 +55,9 @@ NEIGHBOUR_M = 5.5
 between two lanes."""
 LEAST_SHARE = 0.3
 """A line that accompanies less of a lane is no boundary of it. Chosen."""
+ONE_LANE_M = (2.5, 4.6)
+"""Distance of two lines with one lane between them: the narrowest and the widest lanes of the
+guidelines above. Two lanes are 5 m wide and more."""
 
 
 Choice = tuple[int | None, int | None]
@@ -70,6 +73,21 @@ def choose_lines(lines: Sequence[PaintedLine], centre_m: Array) -> list[Choice]:
             beside a lane's ends.
     """
     return _Choosing(lines, centre_m).cheapest()
+
+
+def in_one_painted_lane(lines: Sequence[PaintedLine], centre_m: Array) -> list[bool]:
+    """Which neighbours are two bundles of traffic in one painted lane: no two lanes fit there.
+
+    Args:
+        lines: Along the road.
+        centre_m: (N, S) as in `choose_lines`.
+
+    Returns:
+        For each lane but the last whether it and the next are between two clear lines that are one
+        lane's width apart, without paint between them.
+    """
+    choosing = _Choosing(lines, centre_m)
+    return [choosing.is_one_lane(k) for k in range(len(centre_m) - 1)]
 
 
 class _Choosing:
@@ -110,6 +128,22 @@ class _Choosing:
                         following[left] = (total, [*chosen, (right, left)])
             best = following
         return min(best.values(), key=lambda value: value[0])[1]
+
+    def is_one_lane(self, k: int) -> bool:
+        """See `in_one_painted_lane`."""
+        worth = np.array(self._worth)
+        with np.errstate(invalid="ignore"):
+            beyond = (self._side[k] < 0.0) & (self._share[k] >= BUFFER_SHARE)
+            before = (self._side[k + 1] > 0.0) & (self._share[k + 1] >= BUFFER_SHARE)
+            between = (self._side[k] > 0.0) & (self._side[k + 1] < 0.0)
+        clear = worth >= BUFFER_WORTH * max(self._worth, default=0.0)
+        right, left = np.flatnonzero(beyond & clear), np.flatnonzero(before & clear)
+        if not len(right) or not len(left) or (worth[between] > 0.0).any():
+            return False
+        # The nearest ones: offsets are from the same lane's centre.
+        low, high = self._side[k, right].max(), self._side[k, left].min()
+        narrowest, widest = ONE_LANE_M
+        return bool(narrowest <= high - low <= widest)
 
     def _options(self, k: int, sign: float) -> list[int | None]:
         """Lines that may bound lane `k` on one side: 1 for the left."""

@@ -22,6 +22,7 @@ from geoorbit_ros.markings.assignment import (
     CLEAR_CONTRAST,
     NEIGHBOUR_M,
     choose_lines,
+    in_one_painted_lane,
 )
 from geoorbit_ros.markings.dashes import dash_pattern
 from geoorbit_ros.markings.lines import PaintedLine, find_lines
@@ -198,14 +199,43 @@ def find_roads(lane_map: LaneMap, image: NDArray[np.uint8], homography: RoadPlan
 
 
 def with_painted_edges(lane_map: LaneMap, roads: Sequence[Road]) -> LaneMap:
-    """The map with boundaries on the lines; lanes between two lines have their middle there."""
-    changed = {}
+    """The map with boundaries on the lines; lanes between two lines have their middle there.
+
+    Neighbours that are two bundles of traffic in one painted lane become that lane.
+    """
+    changed: dict[int, Lane | None] = {}
     for road in roads:
-        choice = choose_lines(road.lines, road.centre_m)
-        for k, lane in enumerate(road.lanes):
-            changed[lane.lane_id] = _bounded(road, k, *choice[k])
-    lanes = tuple(changed.get(lane.lane_id, lane) for lane in lane_map.lanes)
-    return replace(lane_map, lanes=lanes)
+        changed |= {lane.lane_id: None for lane in road.lanes}
+        whole = _without_bundles(road)
+        choice = choose_lines(whole.lines, whole.centre_m)
+        for k, lane in enumerate(whole.lanes):
+            changed[lane.lane_id] = _bounded(whole, k, *choice[k])
+    found = (changed.get(lane.lane_id, lane) for lane in lane_map.lanes)
+    return replace(lane_map, lanes=tuple(lane for lane in found if lane is not None))
+
+
+def _without_bundles(road: Road) -> Road:
+    """The road with one lane wherever neighbours are in one painted lane."""
+    lanes, centre = list(road.lanes), list(road.centre_m)
+    one = in_one_painted_lane(road.lines, road.centre_m)
+    for k in reversed(np.flatnonzero(one).tolist()):
+        if _leads_along(lanes[k], road.strip) != _leads_along(lanes[k + 1], road.strip):
+            continue
+        pair = lanes[k : k + 2]
+        main = max(range(2), key=lambda n: pair[n].vehicles)
+        kept = pair[main]
+        confirmed = "confirmed" in (lane.status for lane in pair)
+        lanes[k : k + 2] = [
+            replace(
+                kept,
+                vehicles=sum(lane.vehicles for lane in pair),
+                confidence=max(lane.confidence for lane in pair),
+                status="confirmed" if confirmed else "tentative",
+                vehicles_missing=min(lane.vehicles_missing for lane in pair),
+            )
+        ]
+        centre[k : k + 2] = [centre[k + main]]
+    return replace(road, lanes=tuple(lanes), centre_m=np.array(centre))
 
 
 def _side_by_side(lanes: Sequence[Lane]) -> list[list[Lane]]:
@@ -298,22 +328,33 @@ def _along(line: PaintedLine, centre_m: Array) -> Array:
 def _edge(road: Road, line: int | None, known: NDArray[np.bool_], lane: Lane) -> LaneEdge:
     if line is None:
         return LaneEdge("traffic", lane.width_sigma_m)
-    found = road.lines[line]
+    found, strip = road.lines[line], road.strip
     here = known & np.isfinite(found.offset_m)
     share = float(np.count_nonzero(here) / np.count_nonzero(known))
-    sigma_m = _sigma_m(road, found, here)
-    return LaneEdge("paint", sigma_m, found.kind, found.colour, share, found.width_m)
+    at, sigma = _sigma_m(road, found, here)
+    station = project(lane.centerline_m, strip.point_m).arc_m / ALONG_M
+    along = np.interp(station, at, sigma)
+    # Where the line has ended, or is hidden, the boundary goes on as the lane does.
+    seen = np.interp(station, np.arange(len(here)), here) > 0.5
+    along = np.where(seen, along, np.hypot(along, lane.width_sigma_m))
+    sigma_m = float(np.sqrt(np.mean(np.square(sigma))))
+    points = tuple(along.tolist())
+    return LaneEdge("paint", sigma_m, found.kind, found.colour, share, found.width_m, points)
 
 
-def _sigma_m(road: Road, line: PaintedLine, here: NDArray[np.bool_]) -> float:
-    """1-sigma of a line's place across the road: of its image, and of the road plane below it."""
+def _sigma_m(road: Road, line: PaintedLine, here: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """1-sigma of a line's place across the road: of its image, and of the road plane below it.
+
+    Returns:
+        Some of the stations `here`, and the errors there.
+    """
     strip, at = road.strip, np.flatnonzero(here)
     at = at[:: max(len(at) // 20, 1)]
     pixel = road.homography.to_pixel(strip.place(line.offset_m)[at])
     covariance = road.homography.covariance(pixel, PIXEL_SIGMA)
     normal = strip.normal[at]
     plane = np.einsum("ni,nij,nj->n", normal, covariance, normal)
-    return float(np.sqrt(np.mean(plane + np.square(line.sigma_m[at]))))
+    return at, np.sqrt(plane + np.square(line.sigma_m[at]))
 
 
 def _points(lane: Lane, strip: RoadStrip, offset_m: Array) -> Array:

@@ -1,6 +1,7 @@
 """Serialised messages are what rclpy reads, for every frame name and number of poses."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,12 +9,13 @@ import pytest
 from geometry_msgs.msg import PoseArray
 from hypothesis import given
 from hypothesis import strategies as st
-from made_markings import road_plane
+from made_markings import lane_map, road_plane
 from nav_msgs.msg import Path
 from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import NavSatFix, PointCloud2
 from std_msgs.msg import String
+from visualization_msgs.msg import Marker
 
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.conversions import (
@@ -24,12 +26,14 @@ from geoorbit_ros.conversions import (
     encode_path,
     encode_pose_array,
     encode_string,
+    lane_markers,
     message_class,
     path_headings,
     plane_message,
     plane_of,
 )
 from geoorbit_ros.core.errors import MessageError
+from geoorbit_ros.core.lanes import LaneEdge, LaneMap
 
 letters = st.characters(min_codepoint=1, exclude_categories=["Cs"])
 frame_ids = st.text(letters, max_size=20)
@@ -148,3 +152,24 @@ def test_what_is_no_road_plane(change: Callable[[list[float]], list[float]], fou
     message.data = change(list(message.data))
     with pytest.raises(MessageError, match=found):
         plane_of(message, "/north/road_plane")
+
+
+def test_markers_show_boundaries_as_they_are_painted() -> None:
+    (lane,) = lane_map((1.75,)).lanes
+    dashed = LaneEdge("paint", 0.03, "dashed", "white", 1.0, 0.12)
+    yellow = LaneEdge("paint", 0.03, "solid", "yellow", 1.0, 0.25)
+    painted = replace(lane, left_edge=dashed, right_edge=yellow)
+    left, right = (
+        next(m for m in lane_markers(LaneMap(1, (painted,)), "map").markers if m.ns == role)
+        for role in ("left", "right")
+    )
+    assert (left.type, right.type) == (Marker.LINE_LIST, Marker.LINE_STRIP)
+    assert left.color.b == 1.0
+    assert right.color.b < 0.5
+    ends = np.array([(point.x, point.y) for point in left.points]).reshape(-1, 2, 2)
+    lengths = np.hypot(*(ends[:, 1] - ends[:, 0]).T)
+    assert lengths[:-1] == pytest.approx(3.0, abs=0.01)
+    assert 0.0 < lengths[-1] <= 3.01
+    covered = lengths.sum() / np.hypot(*np.diff(lane.left_m, axis=0).T).sum()
+    assert covered == pytest.approx(1 / 3, abs=0.05)
+    assert len(right.points) == len(lane.right_m)

@@ -317,9 +317,10 @@ def _spread(numbers: Array, times: Stamps, changed: Mask) -> Stamps:
 def _ids(raw: RawTracks, use: Mask) -> NDArray[np.int32]:
     """(N,) ids of 32 bits: the file's own where they are such numbers, else counted from 1."""
     numbers = as_numbers(raw.track_id)
-    words = pc.utf8_lower(pc.utf8_trim_whitespace(raw.track_id))
-    nothing = np.array(pc.is_in(words, value_set=pa.array(NO_ID_WORDS)), dtype=np.bool_)
-    known = ~nothing & (numbers != NO_ID)
+    known = numbers != NO_ID
+    if not np.isfinite(numbers).all():
+        words = pc.utf8_lower(pc.utf8_trim_whitespace(raw.track_id))
+        known &= ~np.array(pc.is_in(words, value_set=pa.array(NO_ID_WORDS)), dtype=np.bool_)
     if use.any() and not known[use].any():
         found = "boxes without ids (detections, not tracks)"
         raise InputFileError(raw.report.place, found, "tracks; geoorbit track makes them")
@@ -385,6 +386,9 @@ def _without_twins(
     raw: RawTracks, rows: NDArray[np.void], stamp_ns: NDArray[np.int64], at: NDArray[np.intp]
 ) -> NDArray[np.intp]:
     """Of several boxes of one id in one frame the surest stays, the first among equals."""
+    later, next_id = np.diff(stamp_ns[at]), np.diff(rows["track_id"][at])
+    if ((later > 0) | ((later == 0) & (next_id > 0))).all():
+        return at  # ordered by time and id, as most files are
     order = np.lexsort((-rows["score"][at], rows["track_id"][at], stamp_ns[at]))
     sorted_at = at[order]
     again = (np.diff(stamp_ns[sorted_at]) == 0) & (np.diff(rows["track_id"][sorted_at]) == 0)

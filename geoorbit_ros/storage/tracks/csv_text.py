@@ -11,6 +11,7 @@ import codecs
 import csv
 import io
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -45,6 +46,7 @@ _EXCEL_LINE = re.compile(r"sep=.?", re.IGNORECASE)
 """A first line that tells Excel the delimiter and is no header."""
 _BLANKS = re.compile(r"(?<=\S)[ \t]+(?=\S)")
 """Between values of a line without any other delimiter."""
+_CONTENT, _FIRST_ROW = re.compile(r"\S"), re.compile(r"^.*\S.*$", re.MULTILINE)
 _NEWLINE, _RETURN = 10, 13
 
 
@@ -148,7 +150,7 @@ def split_header(path: Path, expected: str) -> CsvBody:
         raise InputFileError(place, error.strerror or str(error), expected) from None
     text = decode(data, place, expected)
     header, header_line, comments, body = first_line(text)
-    if not body.strip():
+    if not _CONTENT.search(body):
         raise InputFileError(place, "no row below the header", "at least one row")
     delimiter = max(DELIMITERS, key=header.count)
     if delimiter not in header and len(header.split()) > 1:
@@ -220,7 +222,8 @@ def read_csv_text(path: Path, expected: str) -> CsvText:
     """
     found = split_header(path, expected)
     names, delimiter, body = found.names, found.delimiter, found.body
-    first = next(line for line in body.splitlines() if line.strip())
+    found_row = _FIRST_ROW.search(body)
+    first = found_row[0] if found_row else ""
     if first.count(delimiter) == len(names) and first.rstrip().endswith(delimiter):
         body = re.sub(rf"{re.escape(delimiter)}[ \t]*(?=\r?$)", "", body, flags=re.MULTILINE)
     report = InputReport(str(path), "boxes")
@@ -242,19 +245,27 @@ def _table(
 
     # Names may repeat or be missing in a header; pyarrow needs them unique.
     unique = [f"{k}" for k in range(len(names))]
-    table = pacsv.read_csv(
-        io.BytesIO(data),
-        read_options=pacsv.ReadOptions(column_names=unique, use_threads=False),
-        parse_options=pacsv.ParseOptions(
-            delimiter=delimiter, invalid_row_handler=skip, newlines_in_values='"' in body
-        ),
-        convert_options=pacsv.ConvertOptions(
-            column_types=dict.fromkeys(unique, pa.string()), strings_can_be_null=False
-        ),
-    )
-    columns = [
-        pc.utf8_trim_whitespace(table[name].combine_chunks().cast(pa.string())) for name in unique
-    ]
+
+    def parsed(handler: Callable[[pacsv.InvalidRow], str] | None) -> pa.Table:
+        return pacsv.read_csv(
+            io.BytesIO(data),
+            # Threads don't number the rows that they hand over.
+            read_options=pacsv.ReadOptions(column_names=unique, use_threads=handler is None),
+            parse_options=pacsv.ParseOptions(
+                delimiter=delimiter, invalid_row_handler=handler, newlines_in_values='"' in body
+            ),
+            convert_options=pacsv.ConvertOptions(
+                column_types=dict.fromkeys(unique, pa.string()), strings_can_be_null=False
+            ),
+        )
+
+    try:
+        table = parsed(None)
+    except pa.ArrowInvalid:  # a row has too few or too many values
+        table = parsed(skip)
+    columns = [table[name].combine_chunks().cast(pa.string()) for name in unique]
+    if not body.isascii() or any(blank in body for blank in " \t\v\f"):
+        columns = [pc.utf8_trim_whitespace(column) for column in columns]
     lines = _content_lines(data)
     # Rows are numbered from 1 among the lines that are not empty.
     keep = np.ones(len(lines), dtype=np.bool_)
@@ -266,6 +277,8 @@ def _table(
     blank = np.ones(len(line), dtype=np.bool_)
     for column in columns:
         blank &= np.array(pc.equal(column, ""), dtype=np.bool_)
+        if not blank.any():
+            break
     if blank.any():
         columns = [column.filter(pa.array(~blank)) for column in columns]
         line = line[~blank]
@@ -276,18 +289,21 @@ def _table(
         report.add(
             Treatment.LEFT_OUT, len(wrong), f"not {len(names)} values as in the header", example
         )
+    # Without quotes a value can't hold the delimiter.
+    marks = [mark for mark in (".", ",") if mark != delimiter or '"' in body]
     columns = [
-        _without_marks(column, name, report) for column, name in zip(columns, names, strict=True)
+        _without_marks(column, name, marks, report)
+        for column, name in zip(columns, names, strict=True)
     ]
     return CsvText(names, tuple(columns), line.astype(np.int64), report)
 
 
-def _without_marks(text: pa.Array, name: str, report: InputReport) -> pa.Array:
+def _without_marks(text: pa.Array, name: str, marks: list[str], report: InputReport) -> pa.Array:
     """A column in which numbers below a thousand are whole, and larger ones have marks.
 
     `976` beside `1.706`: no program writes 1.706 so, and whole numbers beside it without decimals.
     """
-    for mark in (".", ","):
+    for mark in marks:
         marked = pc.match_substring(text, mark)
         count = pc.sum(marked).as_py() or 0
         if not 0 < count <= (1.0 - WHOLE_SHARE) * len(text):

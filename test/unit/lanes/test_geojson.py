@@ -130,7 +130,8 @@ def test_features_carry_the_documented_properties() -> None:
         assert feature["geometry"]["type"] == "LineString"
 
 
-SOLID = LaneEdge("paint", 0.03, "solid", "yellow", 0.95, 0.25)
+SIGMA_ALONG_M = tuple(np.linspace(0.02, 0.04, len(lane().left_m)).round(3).tolist())
+SOLID = LaneEdge("paint", 0.03, "solid", "yellow", 0.95, 0.25, SIGMA_ALONG_M)
 PAINTED = replace(lane(), left_edge=SOLID, right_edge=LaneEdge("traffic", 0.2))
 
 
@@ -180,6 +181,21 @@ def test_words_of_other_programs_about_a_boundary_say_nothing(
     (back,) = read_lanes(path).lanes
     assert back.left_edge is None
     assert np.allclose(back.left_m, PAINTED.left_m, atol=1e-3)
+
+
+@pytest.mark.parametrize("given", [[0.1, 0.2], "0.1", [None] * 400, {}])
+def test_errors_along_a_boundary_that_are_not_one_for_each_point_say_nothing(
+    tmp_path: Path, given: object
+) -> None:
+    path = tmp_path / "lanes.geojson"
+    write_lanes(path, LaneMap(1, (PAINTED,)), DATUM)
+    data = json.loads(path.read_text())
+    for feature in data["features"]:
+        if feature["properties"]["role"] == "left":
+            feature["properties"]["boundary_sigma_along_m"] = given
+    path.write_text(json.dumps(data))
+    (back,) = read_lanes(path).lanes
+    assert back.left_edge == replace(SOLID, sigma_along_m=())
 
 
 @pytest.mark.parametrize("heading", [0.0, 45.0, 90.0, 200.0, 355.0])

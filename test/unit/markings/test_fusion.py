@@ -120,6 +120,54 @@ def test_two_lines_between_two_lanes() -> None:
     assert abs(float(offset_m(right.left_m).mean()) - 4.4) < 0.03
 
 
+def test_two_bundles_of_traffic_in_one_painted_lane_are_that_lane() -> None:
+    """Vans keep left and cars right in the middle lane: the traffic has four lanes, the paint 3."""
+    before = lane_map((1.875, 4.8, 6.6, 9.375), width_m=1.8)
+    after = painted(before, MOTORWAY)
+    assert len(after.lanes) == 3
+    middle = after.lanes[1]
+    assert middle.lane_id in (before.lanes[1].lane_id, before.lanes[2].lane_id)
+    assert middle.vehicles == before.lanes[1].vehicles + before.lanes[2].vehicles
+    assert middle.width_m == pytest.approx(3.75, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("driven_m", "stripes"),
+    [
+        # Narrow lanes with worn paint between them.
+        ((1.4, 4.2), (Stripe(0.0), Stripe(5.6))),
+        # A line between the two bundles.
+        ((4.8, 6.6), (Stripe(3.75), Stripe(5.7), Stripe(7.5))),
+        # Unpainted.
+        ((1.4, 3.4), ()),
+    ],
+)
+def test_bundles_of_traffic_stay_lanes_where_paint_allows_two(
+    driven_m: tuple[float, ...], stripes: tuple[Stripe, ...]
+) -> None:
+    assert len(painted(lane_map(driven_m, width_m=2.0), stripes).lanes) == 2
+
+
+def test_the_error_is_told_at_each_point_of_a_boundary() -> None:
+    worn = replace(MOTORWAY[0], y_m=(0.0, 65.0))
+    lane = painted(lane_map(DRIVEN_M), (worn, *MOTORWAY[1:])).lanes[0]
+    assert lane.left_edge is not None
+    assert lane.right_edge is not None
+    for edge in (lane.left_edge, lane.right_edge):
+        assert len(edge.sigma_along_m) == len(lane.left_m)
+    sigma, y = np.array(lane.left_edge.sigma_along_m), lane.left_m[:, 1]
+    assert sigma[y < 60.0].max() < 0.5 * lane.width_sigma_m + lane.left_edge.sigma_m
+    assert sigma[y > 70.0].min() >= before_sigma_m(), "without its line it is no surer than traffic"
+    # A pixel covers more of the road where it is far away.
+    right = np.array(lane.right_edge.sigma_along_m)
+    assert right[np.argmax(y)] > right[np.argmin(y)]
+
+
+def before_sigma_m() -> float:
+    """Of boundaries by the traffic alone."""
+    return lane_map(DRIVEN_M).lanes[0].width_sigma_m
+
+
 def test_one_line_alone_moves_its_boundary_only() -> None:
     lane = painted(lane_map((2.0,)), (Stripe(0.0, 0.25),)).lanes[0]
     assert abs(float(offset_m(lane.left_m).mean())) < 0.03
