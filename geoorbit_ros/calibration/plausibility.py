@@ -7,15 +7,16 @@ speaks against them is said, and lanes are not confirmed on such ground.
 
 from __future__ import annotations
 
-from collections import deque
-
 import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.camera_pose import CameraPose
 from geoorbit_ros.calibration.plane import Homography
 from geoorbit_ros.calibration.traffic_findings import (
+    TIME,
     border_finding,
+    boxes_as_numbers,
+    on_the_road,
     other_size_finding,
     seen_traffic,
     size_finding,
@@ -121,8 +122,9 @@ class TrafficCheck:
     def reset(self) -> None:
         """Forget all traffic, and what was found in it."""
         self.findings: tuple[Remark, ...] = ()
-        self._seen: deque[tuple[float, NDArray[np.void]]] = deque()
-        self._rows = self._new_rows = 0
+        self._new: list[NDArray[np.float64]] = []
+        self._seen = np.empty((0, 11))
+        self._new_rows = 0
         self._sampled_ns = self._judged_ns = -(1 << 62)
 
     @property
@@ -138,20 +140,19 @@ class TrafficCheck:
         box = np.column_stack([rows[name] for name in ("x", "y", "width", "height")])
         use = np.isin(rows["class_id"], VEHICLE_CLASSES) & np.isfinite(box).all(axis=1)
         rows = rows[use & ((rows["flags"] & FLAG_PREDICTED) == 0)]
-        self._seen.append((stamp_ns / 1e9, rows))
-        self._rows, self._new_rows = self._rows + len(rows), self._new_rows + len(rows)
-        while self._rows - len(self._seen[0][1]) > MAX_ROWS:
-            self._rows -= len(self._seen.popleft()[1])
-        enough = self._new_rows >= JUDGED_AGAIN * self._rows
+        self._new.append(boxes_as_numbers(stamp_ns / 1e9, rows))
+        self._new_rows += len(rows)
+        known = min(len(self._seen) + self._new_rows, MAX_ROWS)
+        enough = self._new_rows >= JUDGED_AGAIN * known
         if enough and stamp_ns - self._judged_ns >= JUDGE_S * 1e9:
             self._judged_ns = stamp_ns
             self.judge()
 
     def judge(self) -> tuple[Remark, ...]:
         """The findings on all traffic that is remembered, now."""
-        self._new_rows = 0
-        if self._rows:
-            traffic = seen_traffic(self._seen, self._homography)
+        self._remember()
+        if len(self._seen):
+            traffic = seen_traffic(self._seen)
             found = [
                 *sky_finding(traffic),
                 *speed_finding(traffic),
@@ -169,3 +170,13 @@ class TrafficCheck:
                 found.append(Remark(Treatment.NOTED, 0, text))
             self.findings = tuple(found)
         return self.findings
+
+    def _remember(self) -> None:
+        """Put the new rows on the road, and forget the oldest frames."""
+        if self._new:
+            new = on_the_road(np.concatenate(self._new), self._homography)
+            self._seen = np.concatenate([self._seen, new])
+        if (more := len(self._seen) - MAX_ROWS) > 0:
+            times = self._seen[:, TIME]
+            self._seen = self._seen[np.searchsorted(times, times[more - 1]) :]
+        self._new, self._new_rows = [], 0

@@ -5,7 +5,7 @@ All from medians over vehicles, so that a few odd ones don't matter.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -139,29 +139,41 @@ class SeenTraffic:
             yield from np.split(at, np.flatnonzero(np.diff(self.track_id[at])) + 1)
 
 
-def seen_traffic(
-    frames: Iterable[tuple[float, NDArray[np.void]]], homography: Homography
-) -> SeenTraffic:
-    """Order what was seen and put it on the road by the middle of each box's lower edge."""
-    frames = list(frames)
-    rows = np.concatenate([rows for _, rows in frames])
-    times = np.array([time_s for time_s, _ in frames])
-    time_s = np.repeat(times, [len(rows) for _, rows in frames])
-    order = np.lexsort((time_s, rows["track_id"]))
-    rows, time_s = rows[order], time_s[order]
+TIME, TRACK, BOX, FLAGS, CLASS = 0, 1, slice(2, 6), 6, 7
+"""Columns of `boxes_as_numbers`."""
+GROUND, SHARP = slice(8, 10), 10
+"""Columns that `on_the_road` adds."""
+
+
+def boxes_as_numbers(time_s: float, rows: NDArray[np.void]) -> Array:
+    """(N, 8) of a frame of `PIXEL_TRACK_DTYPE`: plain numbers are quicker to put together."""
+    names = ("track_id", "x", "y", "width", "height", "flags", "class_id")
+    return np.column_stack([np.full(len(rows), time_s), *(rows[name] for name in names)])
+
+
+def on_the_road(boxes: Array, homography: Homography) -> Array:
+    """(N, 11) of (N, 8): with the ground below the middle of each box's lower edge."""
+    foot = boxes[:, BOX][:, :2] + np.column_stack((np.zeros(len(boxes)), boxes[:, 5] / 2))
+    sharp = homography.sigma_m(foot, 1.5) <= SHARP_M
+    return np.column_stack([boxes, homography.to_ground(foot), sharp])
+
+
+def seen_traffic(seen: Array) -> SeenTraffic:
+    """Order (N, 11) what was seen, in the order of time, by vehicles."""
+    times = np.unique(seen[:, TIME])
     step_s = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
-    other = np.diff(rows["track_id"], prepend=0) != 0
+    seen = seen[np.argsort(seen[:, TRACK], kind="stable")]
+    time_s = seen[:, TIME]
+    other = np.diff(seen[:, TRACK], prepend=0) != 0
     other |= np.diff(time_s, prepend=0.0) > max(GAP_S, GAP_FRAMES * step_s)
-    box = np.column_stack([rows[name] for name in ("x", "y", "width", "height")]).astype(np.float64)
-    foot = box[:, :2] + np.column_stack((np.zeros(len(box)), box[:, 3] / 2))
     return SeenTraffic(
         np.cumsum(other).astype(np.int32),
         time_s,
-        box,
-        (rows["flags"] & FLAG_GROUND_POINT) == 0,
-        np.isin(rows["class_id"], (CAR_CLASS, UNKNOWN_CLASS)),
-        homography.to_ground(foot),
-        homography.sigma_m(foot, 1.5) <= SHARP_M,
+        seen[:, BOX],
+        (seen[:, FLAGS].astype(np.int64) & FLAG_GROUND_POINT) == 0,
+        np.isin(seen[:, CLASS], (CAR_CLASS, UNKNOWN_CLASS)),
+        seen[:, GROUND],
+        seen[:, SHARP] > 0.0,
         step_s,
     )
 
@@ -181,37 +193,52 @@ def sky_finding(traffic: SeenTraffic) -> Iterator[Remark]:
 
 def speed_finding(traffic: SeenTraffic) -> Iterator[Remark]:
     """Speeds that no traffic has."""
-    speed, steady = _speeds(traffic)
-    if len(speed) < MIN_TRACKS:
+    tracks = _driving(traffic)
+    if len(tracks) < MIN_TRACKS:
         return
+    speed = [travel_m / seconds for _, travel_m, seconds in tracks]
     low, usual, high = (3.6 * v for v in np.quantile(speed, (0.1, 0.5, 0.9)))
     range_text = f"vehicles drive {low:.0f} to {high:.0f} km/h, {usual:.0f} km/h in the middle"
     if usual > 3.6 * FASTEST[0] or high > 3.6 * FASTEST[1]:
         text = f"{range_text}: are the times right (--fps), and the control points in metres?"
         yield Remark(Treatment.DOUBTFUL, 0, text)
     stepwise = traffic.step_s >= STEP_S
-    if usual <= 3.6 * (SLOWEST_STEPWISE if stepwise else SLOWEST) and steady < STEADY:
+    slow = usual <= 3.6 * (SLOWEST_STEPWISE if stepwise else SLOWEST)
+    if slow and _unsteadiness(traffic, tracks) < STEADY:
         asked = "is the time a frame number" if stepwise else "are the times right (--fps)"
         text = f"{range_text}, and none stops: {asked}, and are the control points in metres?"
         yield Remark(Treatment.DOUBTFUL, 0, text)
 
 
-def _speeds(traffic: SeenTraffic) -> tuple[Array, float]:
-    """Speed (T,) of every vehicle that drives, m/s, and how unsteady it usually is on its way."""
-    speeds, unsteady = [], []
-    for rows in traffic.tracks(traffic.sharp):
+_Driving = tuple[NDArray[np.intp], float, float]
+"""Rows of a vehicle that drives, its way in metres, and the seconds that it took."""
+
+
+def _driving(traffic: SeenTraffic) -> list[_Driving]:
+    """Every vehicle that drives, where its place is certain."""
+    at = np.flatnonzero(traffic.sharp)
+    if not len(at):
+        return []
+    new = np.flatnonzero(np.diff(traffic.track_id[at])) + 1
+    first, last = at[np.append(0, new)], at[np.append(new, len(at)) - 1]
+    travel_m = np.hypot(*(traffic.ground[last] - traffic.ground[first]).T)
+    seconds = traffic.time_s[last] - traffic.time_s[first]
+    drives = (travel_m >= MIN_TRAVEL_M) & (seconds > 0.0)
+    rows = np.split(at, new)
+    return [(rows[k], float(travel_m[k]), float(seconds[k])) for k in np.flatnonzero(drives)]
+
+
+def _unsteadiness(traffic: SeenTraffic, tracks: list[_Driving]) -> float:
+    """How unsteady vehicles usually are on their way."""
+    unsteady = []
+    for rows, travel_m, _ in tracks:
         xy, time_s = traffic.ground[rows], traffic.time_s[rows]
-        chord = xy[-1] - xy[0]
-        travel_m, seconds = float(np.hypot(*chord)), float(time_s[-1] - time_s[0])
-        if travel_m < MIN_TRAVEL_M or seconds <= 0.0:
-            continue
-        speeds.append(travel_m / seconds)
-        along_m = np.maximum.accumulate((xy - xy[0]) @ (chord / travel_m))
+        along_m = np.maximum.accumulate((xy - xy[0]) @ ((xy[-1] - xy[0]) / travel_m))
         legs = np.unique(np.floor(along_m / LEG_M), return_index=True)[1]
         if len(legs) > 2:
             leg = np.diff(along_m[legs]) / np.diff(time_s[legs])
             unsteady.append(float(leg.std() / leg.mean()))
-    return np.array(speeds), float(np.median(unsteady)) if unsteady else np.inf
+    return float(np.median(unsteady)) if unsteady else np.inf
 
 
 def border_finding(

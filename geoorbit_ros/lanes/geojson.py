@@ -200,7 +200,10 @@ def _edge_properties(edge: LaneEdge | None) -> dict[str, Any]:
     """What a boundary was taken from, where that is known."""
     if edge is None:
         return {}
-    about = {"boundary_source": edge.source, "boundary_sigma_m": _rounded(edge.sigma_m, 3)}
+    about: dict[str, Any] = {
+        "boundary_source": edge.source,
+        "boundary_sigma_m": _rounded(edge.sigma_m, 3),
+    }
     if edge.source == "traffic":
         return about
     if edge.sigma_along_m:

@@ -342,7 +342,9 @@ def _edge(road: Road, line: int | None, known: NDArray[np.bool_], lane: Lane) ->
     return LaneEdge("paint", sigma_m, found.kind, found.colour, share, found.width_m, points)
 
 
-def _sigma_m(road: Road, line: PaintedLine, here: NDArray[np.bool_]) -> tuple[Array, Array]:
+def _sigma_m(
+    road: Road, line: PaintedLine, here: NDArray[np.bool_]
+) -> tuple[NDArray[np.intp], Array]:
     """1-sigma of a line's place across the road: of its image, and of the road plane below it.
 
     Returns:

@@ -37,8 +37,6 @@ class LaneMapper:
     Attributes:
         estimator: What it feeds.
         parameters: Theta; may be replaced between frames.
-        doubtful: Whether the latest rows say that something speaks against them
-            (`FLAG_DOUBTFUL`); while they do, no lane is shown as confirmed.
 
     Raises:
         ParameterError: A period that is not positive.
@@ -59,7 +57,7 @@ class LaneMapper:
         self._stamp_ns = 0
         self._ids = LaneRegistry()
         self._policy = UpdatePolicy(estimator)
-        self.doubtful = False
+        self._flags: NDArray[np.integer] = np.empty(0, np.int32)
 
     def add(self, stamp_ns: int, rows: NDArray[np.void]) -> LaneMap | None:
         """Take one frame; the renewed map when a period has passed, else None.
@@ -70,7 +68,7 @@ class LaneMapper:
         """
         self.estimator.add(stamp_ns, rows)
         if len(rows):
-            self.doubtful = bool((rows["flags"] & FLAG_DOUBTFUL).any())
+            self._flags = rows["flags"]
         self._stamp_ns = stamp_ns
         if self._due_ns is None:
             self._due_ns = stamp_ns + self._period_ns
@@ -79,6 +77,14 @@ class LaneMapper:
         periods = (stamp_ns - self._due_ns) // self._period_ns + 1
         self._due_ns += periods * self._period_ns
         return self.renew()
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether the latest rows say that something speaks against them (`FLAG_DOUBTFUL`).
+
+        While they do, no lane is shown as confirmed.
+        """
+        return bool((self._flags & FLAG_DOUBTFUL).any())
 
     def renew(self) -> LaneMap:
         """The map of all frames so far: derived anew where that is worth it, else counted on."""

@@ -243,27 +243,8 @@ def _table(
         bad.append(-row.number if blank else row.number)
         return "skip"
 
-    # Names may repeat or be missing in a header; pyarrow needs them unique.
-    unique = [f"{k}" for k in range(len(names))]
-
-    def parsed(handler: Callable[[pacsv.InvalidRow], str] | None) -> pa.Table:
-        return pacsv.read_csv(
-            io.BytesIO(data),
-            # Threads don't number the rows that they hand over.
-            read_options=pacsv.ReadOptions(column_names=unique, use_threads=handler is None),
-            parse_options=pacsv.ParseOptions(
-                delimiter=delimiter, invalid_row_handler=handler, newlines_in_values='"' in body
-            ),
-            convert_options=pacsv.ConvertOptions(
-                column_types=dict.fromkeys(unique, pa.string()), strings_can_be_null=False
-            ),
-        )
-
-    try:
-        table = parsed(None)
-    except pa.ArrowInvalid:  # a row has too few or too many values
-        table = parsed(skip)
-    columns = [table[name].combine_chunks().cast(pa.string()) for name in unique]
+    table = _parsed(data, len(names), delimiter, quoted='"' in body, skip=skip)
+    columns = [table[name].combine_chunks().cast(pa.string()) for name in table.column_names]
     if not body.isascii() or any(blank in body for blank in " \t\v\f"):
         columns = [pc.utf8_trim_whitespace(column) for column in columns]
     lines = _content_lines(data)
@@ -296,6 +277,37 @@ def _table(
         for column, name in zip(columns, names, strict=True)
     ]
     return CsvText(names, tuple(columns), line.astype(np.int64), report)
+
+
+def _parsed(
+    data: bytes,
+    count: int,
+    delimiter: str,
+    *,
+    quoted: bool,
+    skip: Callable[[pacsv.InvalidRow], str],
+) -> pa.Table:
+    """Columns of text; rows with too few or too many values are given to `skip`."""
+    # Names may repeat or be missing in a header; pyarrow needs them unique.
+    unique = [f"{k}" for k in range(count)]
+
+    def read(handler: Callable[[pacsv.InvalidRow], str] | None) -> pa.Table:
+        return pacsv.read_csv(
+            io.BytesIO(data),
+            # Threads don't number the rows that they hand over.
+            read_options=pacsv.ReadOptions(column_names=unique, use_threads=handler is None),
+            parse_options=pacsv.ParseOptions(
+                delimiter=delimiter, invalid_row_handler=handler, newlines_in_values=quoted
+            ),
+            convert_options=pacsv.ConvertOptions(
+                column_types=dict.fromkeys(unique, pa.string()), strings_can_be_null=False
+            ),
+        )
+
+    try:
+        return read(None)
+    except pa.ArrowInvalid:
+        return read(skip)
 
 
 def _without_marks(text: pa.Array, name: str, marks: list[str], report: InputReport) -> pa.Array:
