@@ -93,20 +93,24 @@ def candidate_pairs(
     """
     pairs = []
     places = _Places(found)
+    about = [
+        (each.measured, each.variance, each.cut, each.class_id, doubt[j])
+        for j, each in enumerate(found)
+    ]
     for i, (track, state) in enumerate(zip(tracks, predicted, strict=True)):
         alone = GAP_COST * elapsed_s[i] + (0.0 if track.track_id else TENTATIVE_COST)
-        gate, near = places.near(state, alone)
+        # However exact the prediction: a farther pair costs `ONE_VEHICLE_LIMIT` and more.
+        farthest = min(TAIL * math.expm1((ONE_VEHICLE_LIMIT - alone) / (TAIL + 4.0)), GATE)
+        gate, near = places.near(state, alone, farthest)
         for j in near:
-            detection = found[j]
-            measured, variance = detection.measured, detection.variance
-            if detection.cut and not track.entering:
-                measured, variance = complete_cut_box(state, detection)
-            limit = GATE if detection.cut else gate
-            distance = distance_within(limit, state, measured, variance)
+            measured, variance, cut, class_id, doubtful = about[j]
+            if cut and not track.entering:
+                measured, variance = complete_cut_box(state, found[j])
+            distance = distance_within(farthest if cut else gate, state, measured, variance)
             if distance is None:
                 continue
-            cost = (TAIL + 4.0) * math.log1p(distance / TAIL) + alone + doubt[j]
-            if detection.class_id != track.class_id:
+            cost = (TAIL + 4.0) * math.log1p(distance / TAIL) + alone + doubtful
+            if class_id != track.class_id:
                 cost += CLASS_COST
             if cost >= ONE_VEHICLE_LIMIT:
                 continue  # the spread costs more than nothing
@@ -129,16 +133,17 @@ class _Places:
         self._of_cut = _largest([found[j].variance for j in self._cut])
         self._found = found
 
-    def near(self, state: State, alone: float) -> tuple[float, list[int]]:
+    def near(self, state: State, alone: float, farthest: float) -> tuple[float, list[int]]:
         """Detections that may be the vehicle of a track.
 
         Args:
             state: The prediction.
             alone: What pairs cost with this track beside distance and spread.
+            farthest: Squared distance from which on a pair is none.
 
         Returns:
             The squared distance from which on any pair with a whole box costs
-            `ONE_VEHICLE_LIMIT`, and the detections within it, for cut boxes within `GATE`.
+            `ONE_VEHICLE_LIMIT`, and the detections within it, for cut boxes within `farthest`.
         """
         gate, near = 0.0, []
         x, y, _, _ = state
@@ -146,22 +151,22 @@ class _Places:
             spread_cost = math.log(spread_ratio(state, self._of_whole))
             left = ONE_VEHICLE_LIMIT - alone - LIKELIHOOD_WEIGHT * spread_cost
             if left > 0.0:
-                gate = min(TAIL * math.expm1(left / (TAIL + 4.0)), GATE)
+                gate = min(TAIL * math.expm1(left / (TAIL + 4.0)), farthest)
                 across = math.sqrt(gate * (x[VARIANCE] + self._of_whole[0]))
                 along = math.sqrt(gate * (y[VARIANCE] + self._of_whole[1]))
                 first = bisect_left(self._x, x[MEAN] - across)
                 last = bisect_right(self._x, x[MEAN] + across)
                 low, high = y[MEAN] - along, y[MEAN] + along
                 near = [j for j, at in self._order[first:last] if low <= at <= high]
-        if self._of_cut is not None:
-            near += self._cut_near(state, self._of_cut)
+        if self._of_cut is not None and farthest > 0.0:
+            near += self._cut_near(state, self._of_cut, farthest)
         return gate, near
 
-    def _cut_near(self, state: State, variance: Four) -> list[int]:
-        """Cut boxes within `GATE` or beside: their middle can be half a vehicle away from its."""
+    def _cut_near(self, state: State, variance: Four, farthest: float) -> list[int]:
+        """Cut boxes near enough, or beside: their middle can be half a vehicle away from its."""
         x, y, width, height = state
-        across = max(math.sqrt(GATE * (x[VARIANCE] + variance[0])), math.exp(width[MEAN]))
-        along = max(math.sqrt(GATE * (y[VARIANCE] + variance[1])), math.exp(height[MEAN]))
+        across = max(math.sqrt(farthest * (x[VARIANCE] + variance[0])), math.exp(width[MEAN]))
+        along = max(math.sqrt(farthest * (y[VARIANCE] + variance[1])), math.exp(height[MEAN]))
         return [
             j
             for j in self._cut
@@ -236,6 +241,8 @@ def assign(pairs: Sequence[Pair], limit: float) -> list[Pair]:
         pairs: Candidates, none twice; those at `limit` or above are none.
         limit: Cost of leaving a track or a detection without partner.
     """
+    if not pairs:
+        return []
     of_track: dict[int, int] = {}
     of_detection: dict[int, int] = {}
     for track, detection, cost in pairs:

@@ -378,10 +378,9 @@ class Tracker:
     def _hold_against_neighbours(self) -> None:
         """Take what new tracks' overlap with vehicles already followed says of them."""
         seen = [track for track in self._tracks if not track.missed]
-        followed = [track.box for track in seen if track.track_id]
-        for track in seen:
-            if track.track_id or track.hits > KEPT_SCORES:
-                continue
+        new = [track for track in seen if not track.track_id and track.hits <= KEPT_SCORES]
+        followed = [track.box for track in seen if track.track_id] if new else []
+        for track in new:
             kind = self._overlaps.kind_of(covered_share(track.box, followed))
             if kind > track.overlap:
                 evidence = self._overlaps.evidence
@@ -399,11 +398,11 @@ class Tracker:
 
     def _expired(self, stamp_ns: int) -> set[int]:
         """Tracks that have been unobserved for too long."""
-        elapsed_s = [track.elapsed_s(stamp_ns) for track in self._tracks]
-        expired = {i for i, elapsed in enumerate(elapsed_s) if elapsed > self._p.max_gap_s}
-        if len(elapsed_s) > MAX_TRACKS:
-            longest = sorted(range(len(elapsed_s)), key=lambda i: -elapsed_s[i])
-            expired.update(longest[: len(elapsed_s) - MAX_TRACKS])
+        oldest_ns = stamp_ns - self._p.max_gap_s * 1e9
+        expired = {i for i, track in enumerate(self._tracks) if track.stamp_ns < oldest_ns}
+        if len(self._tracks) > MAX_TRACKS:
+            longest = sorted(range(len(self._tracks)), key=lambda i: self._tracks[i].stamp_ns)
+            expired.update(longest[: len(self._tracks) - MAX_TRACKS])
         return expired
 
     def _outside(self, predicted: Sequence[State]) -> set[int]:
