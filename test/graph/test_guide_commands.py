@@ -37,7 +37,7 @@ SHORTER = {
 
 NOT_HERE = {
     r"ros2 |rosdep |colcon |fastdds ": "needs a ROS installation; test_install, test_wiring do it",
-    r"python3 -m pip|pip install": "installs packages",
+    r"python3 -m pip|pip install|git clone": "installs packages, or this repository",
     r"\./dev (demo|test|check|docs|bench)": "test_demo, test_dev; this is ./dev test",
     r"\.venv/bin/fast-discovery-server": "runs until it is ended: test_namespaces",
     r"export |P=": "sets a variable for ros2",
@@ -183,7 +183,7 @@ def test_python_examples_run(page: str) -> None:
         exec(compile(block, page, "exec"), made)
         if isinstance(cdr := made.get("cdr"), bytes):  # the message of the first guide
             stamp_ns, frame, rows = decode_table(cdr, PIXEL_TRACK_DTYPE, "here")
-            assert (stamp_ns, frame, len(rows)) == (made["stamp_ns"], "north_optical", 1)
+            assert (stamp_ns, frame, len(rows)) == (made["stamp_ns"], "north_optical_frame", 1)
 
 
 def test_every_reason_is_needed() -> None:
