@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Status = Literal["confirmed", "tentative"]
-Marking = Literal["", "solid", "dashed"]
+Marking = Literal["", "solid", "dashed", "double"]
 MarkingColour = Literal["", "white", "yellow"]
 
 
@@ -38,9 +38,10 @@ class LaneEdge:
         source: `paint` where it follows a line in the image, `traffic` where it follows from where
             vehicles drive.
         sigma_m: 1-sigma error of its position, mean over the lane.
-        marking: `solid` or `dashed`; empty without a line.
+        marking: `solid`, `dashed`, or `double`: two solid lines, whose common middle is the
+            boundary; empty without a line.
         colour: `white` or `yellow`; empty without a line.
-        marking_width_m: Width of the line; NaN without one.
+        marking_width_m: Width of the line, of both with their gap for `double`; NaN without one.
         painted_share: Share of the lane's length along which the line is seen.
         sigma_along_m: 1-sigma error at each of the boundary's points; empty where it is `sigma_m`
             everywhere, or the producer doesn't say.

@@ -16,6 +16,8 @@ from geoorbit_ros.core.lanes import LaneEdge
 from geoorbit_ros.exchange import file_facts, lane_facts
 from geoorbit_ros.lanes.geojson import LaneFile
 
+SUBTYPES = {"": "", "solid": "solid", "dashed": "dashed", "double": "solid_solid"}
+"""Lanelet2's names of markings (LinestringsAndPolygonsTagging)."""
 THICK_M = 0.2
 """Width from which a line is thick. Chosen: between that of lane lines (0.10 to 0.15 m) and of edge
 lines (0.25 to 0.30 m)."""
@@ -73,9 +75,9 @@ def _line_tags(edge: LaneEdge | None) -> dict[str, str]:
     """Type of a boundary: a painted line, or a virtual one where only vehicles were seen."""
     if edge is None or edge.source != "paint":
         return {"type": "virtual"}
-    thick = edge.marking_width_m > THICK_M
+    thick = edge.marking_width_m > THICK_M and edge.marking != "double"
     kind = "line_thick" if thick else "line_thin"
-    return {"type": kind, "subtype": edge.marking, "color": edge.colour}
+    return {"type": kind, "subtype": SUBTYPES[edge.marking], "color": edge.colour}
 
 
 def _element(kind: str, number: int) -> Xml.Element:

@@ -18,6 +18,8 @@ from geoorbit_ros.lanes.geojson import LaneFile
 
 REVISION = ("1", "4")
 """What CARLA 0.9 and SUMO read."""
+ROAD_MARKS = {"": "none", "solid": "solid", "dashed": "broken", "double": "solid solid"}
+"""OpenDRIVE's names of markings (1.4, table 33)."""
 MARK_WIDTH_M = 0.12
 """Of a line whose width isn't known: the usual one between lanes."""
 
@@ -102,11 +104,11 @@ def _add_mark(border: Xml.Element, edge: LaneEdge | None) -> None:
         border,
         "roadMark",
         sOffset="0",
-        type="solid" if edge.marking == "solid" else "broken",
+        type=ROAD_MARKS[edge.marking],
         weight="standard",
         color="yellow" if edge.colour == "yellow" else "standard",
         width=_number(edge.marking_width_m if np.isfinite(edge.marking_width_m) else MARK_WIDTH_M),
-        laneChange="none" if edge.marking == "solid" else "both",
+        laneChange="both" if edge.marking == "dashed" else "none",
     )
 
 

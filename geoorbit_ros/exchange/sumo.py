@@ -154,7 +154,7 @@ def _changes(lane: Lane, index: int, lanes: int) -> dict[str, str]:
     return {
         name: MAY_CROSS
         for name, (edge, neighbour) in sides.items()
-        if neighbour and edge is not None and edge.marking == "solid"
+        if neighbour and edge is not None and edge.marking in ("solid", "double")
     }
 
 

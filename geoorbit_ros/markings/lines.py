@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from geoorbit_ros.markings.road_image import ACROSS_M, ALONG_M, RoadStrip
 
 Array = NDArray[np.float64]
-Kind = Literal["solid", "dashed"]
+Kind = Literal["solid", "dashed", "double"]
 Colour = Literal["white", "yellow"]
 
 WIDTHS_M = (0.10, 0.15, 0.25, 0.35)
@@ -95,6 +95,12 @@ PROFILE_M = 0.5
 MAX_WIDTH_M = 0.65
 """Wider stripes are patches: lines are at most 0.5 m wide (RMS-1; MUTCD 3A.04), with dirt beside
 them, on real motorway cameras, up to 0.6."""
+TWIN_M = (0.14, 0.40)
+"""Distance of the middles of two lines that are a double one: lines of 0.1 to 0.15 m, as far apart
+(MUTCD 3A.04, RMS-1)."""
+TWIN_SHARE = 0.6
+"""Both are this bright, as a share of the brighter one, and the road between and beside them is
+darker than this share. Chosen: paint that was renewed beside the old one is less alike."""
 TRIED_M = 0.12
 """A path that was followed in vain is not followed again from seeds this near. Chosen: less than a
 line's width."""
@@ -115,9 +121,9 @@ class PaintedLine:
         seen: (S,) whether there is paint at the station.
         score: Mean contrast in units of noise.
         contrast: The same over the stations with paint.
-        kind: Solid or dashed.
+        kind: Solid, dashed, or double: two solid ones, whose common middle `offset_m` is.
         colour: White or yellow.
-        width_m: Width of the paint.
+        width_m: Width of the paint, of both lines and their gap for a double one.
     """
 
     offset_m: Array
@@ -354,13 +360,19 @@ def _trace(path: Array, contrast: Array, strip: RoadStrip) -> PaintedLine | None
     if width_m > MAX_WIDTH_M + float(strip.across_m[at][best].mean()):  # an image blurs by a pixel
         return None
     scatter = 1.4826 * float(np.median(np.abs((middle - path)[painted])))
+    kind = _kind(painted, np.where(within & usable, strip.along_m[rows, column], np.inf), share)
+    twin = _twin(strip, at[0][best], at[1][best]) if kind == "solid" else None
+    if twin is not None:
+        (right, left, width_m), kind = twin, "double"
+        path = path + 0.5 * (right + left) * ACROSS_M
+        column = np.clip(column + left, 0, last)
     return PaintedLine(
         offset_m=np.where(within, path, np.nan),
         sigma_m=np.where(within, max(scatter, 0.5 * ACROSS_M), np.nan),
         seen=painted,
         score=float(np.mean(peak[within & usable])),
         contrast=float(np.mean(peak[painted])),
-        kind=_kind(painted, np.where(within & usable, strip.along_m[rows, column], np.inf), share),
+        kind=kind,
         colour=_colour(strip, rows[painted], column[painted]),
         width_m=width_m,
     )
@@ -399,12 +411,48 @@ def _width_m(strip: RoadStrip, rows: NDArray[np.int64], columns: NDArray[np.int6
 
     Not down to half of its brightness: beside many an edge line the shoulder is nearly as bright.
     """
-    reach = round(PROFILE_M / ACROSS_M)
-    at = np.clip(columns[:, None] + np.arange(-reach, reach + 1), 0, strip.bgr.shape[1] - 1)
-    profile = np.median(strip.bgr[rows[:, None], at, 1:].mean(axis=2, dtype=np.float64), axis=0)
+    profile = _profile(strip, rows, columns)
+    reach = len(profile) // 2
     slope = scipy.ndimage.uniform_filter1d(np.diff(profile), 3)
     right, left = np.argmax(slope[:reach]), reach + np.argmin(slope[reach:])
     return float(left - right) * ACROSS_M
+
+
+def _profile(strip: RoadStrip, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> Array:
+    """Median brightness across a line, `PROFILE_M` to both sides."""
+    reach = round(PROFILE_M / ACROSS_M)
+    at = np.clip(columns[:, None] + np.arange(-reach, reach + 1), 0, strip.bgr.shape[1] - 1)
+    light = strip.bgr[rows[:, None], at, 1:].mean(axis=2, dtype=np.float64)
+    return np.asarray(np.median(light, axis=0))
+
+
+def _twin(
+    strip: RoadStrip, rows: NDArray[np.int64], columns: NDArray[np.int64]
+) -> tuple[int, int, float] | None:
+    """Both lines of a double one, and its width in metres; None for one line.
+
+    Lines are columns from `columns` on, positive to the left.
+    """
+    profile = scipy.ndimage.uniform_filter1d(_profile(strip, rows, columns), 3)
+    reach = len(profile) // 2
+    height = profile - np.quantile(profile, 0.2)
+    is_peak = height == scipy.ndimage.maximum_filter1d(height, 7)
+    peaks = np.flatnonzero(is_peak & (height >= TWIN_SHARE * height.max()))
+    beside = round(FLANK_M / ACROSS_M)
+    best: tuple[float, int, int] | None = None
+    for k, a in enumerate(peaks.tolist()):
+        for b in peaks[k + 1 :].tolist():
+            low = min(height[a], height[b])
+            dark = (height[a:b], height[max(a - beside, 0) : a + 1], height[b : b + beside + 1])
+            apart = all(part.min() <= TWIN_SHARE * low for part in dark)
+            if apart and TWIN_M[0] <= (b - a) * ACROSS_M <= TWIN_M[1]:
+                best = max(best or (low, a, b), (low, a, b))
+    if best is None:
+        return None
+    low, a, b = best
+    paint = np.flatnonzero(height >= 0.5 * low)
+    paint = paint[(paint >= a - beside) & (paint <= b + beside)]
+    return a - reach, b - reach, float(paint[-1] - paint[0] + 1) * ACROSS_M
 
 
 def _colour(strip: RoadStrip, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> Colour:

@@ -187,6 +187,17 @@ def test_lanelet2_reads_the_painted_lines(painted: LaneFile, tmp_path: Path) -> 
         assert (right["type"], right["subtype"]) == ("line_thin", "dashed")
 
 
+def test_double_lines_have_the_names_of_each_format(painted: LaneFile) -> None:
+    double = LaneEdge("paint", 0.03, "double", "yellow", 1.0, 0.36)
+    found = tuple(replace(x, left_edge=double) for x in painted.lane_map.lanes)
+    file = replace(painted, lane_map=replace(painted.lane_map, lanes=found))
+    point = carla.Map("lanes", to_opendrive(file)).generate_waypoints(5.0)[0]
+    assert point.left_lane_marking.type == carla.LaneMarkingType.SolidSolid
+    assert point.left_lane_marking.lane_change == carla.LaneChange.NONE
+    assert 'v="solid_solid"' in to_lanelet2(file)
+    assert "changeLeft" in to_sumo(file)
+
+
 def test_sumo_lets_nobody_change_over_a_solid_line(painted: LaneFile, tmp_path: Path) -> None:
     path = tmp_path / "lanes.net.xml"
     for file, allowed in ((painted, {"emergency", "authority"}), (unpainted(painted), None)):

@@ -54,6 +54,38 @@ def test_what_a_line_is_like(motorway: list[PaintedLine]) -> None:
         assert line.length_m > 60.0
 
 
+@pytest.mark.parametrize("gap_m", [0.12, 0.18, 0.25])
+def test_a_double_line_is_one_line_in_the_middle_of_both(gap_m: float) -> None:
+    half = 0.5 * (gap_m + 0.12)
+    lines = lines_of(
+        Stripe(0.0, 0.25),
+        Stripe(3.6 - half, 0.12, colour=YELLOW),
+        Stripe(3.6 + half, 0.12, colour=YELLOW),
+        Stripe(7.2, 0.15),
+    )
+    assert [(line.kind, line.colour) for line in lines] == [
+        ("solid", "white"), ("double", "yellow"), ("solid", "white"),
+    ]  # fmt: skip
+    assert east_m(lines[1]) == pytest.approx(3.6, abs=0.03)
+    assert lines[1].width_m == pytest.approx(gap_m + 0.24, abs=0.07)
+
+
+@pytest.mark.parametrize(
+    "beside",
+    [
+        Stripe(3.85, 0.15, colour=(150.0, 150.0, 150.0)),  # what is left of an older line
+        Stripe(3.85, 0.2, colour=(30.0, 30.0, 30.0)),  # tar
+        Stripe(4.3, 0.12),  # a line of its own
+        Stripe(3.85, 0.15, 3.0, 12.0),  # dashes
+    ],
+)
+def test_what_lies_beside_a_line_does_not_make_it_double(beside: Stripe) -> None:
+    lines = lines_of(Stripe(0.0, 0.25), Stripe(3.6, 0.15), beside)
+    line = min(lines, key=lambda each: abs(east_m(each) - 3.6))
+    assert line.kind == "solid"
+    assert east_m(line) == pytest.approx(3.6, abs=0.06)
+
+
 def test_a_station_is_seen_where_there_is_paint(motorway: list[PaintedLine]) -> None:
     strip = strip_of()
     dashes = motorway[2]
