@@ -255,10 +255,27 @@ def _check_tags(roads: list[tuple[Xml.Element, dict[str, str]]], report: InputRe
                 tags[key] = found
             for text in [*told, *([fault] if fault else [])]:
                 wrong.setdefault(text, []).append(f"way {way.get('id')}: {key}={before[key]}"[:80])
+        if example := _agree_on_lanes(tags):
+            text = "numbers of lanes that contradict each other; those of each direction are used"
+            wrong.setdefault(text, []).append(f"way {way.get('id')}: {example}")
         if tags != before:
             set_tags(way, tags)
     for text, places in wrong.items():
         report.add(Treatment.NOTED, len(places), text, places[0])
+
+
+def _agree_on_lanes(tags: dict[str, str]) -> str:
+    """Make `lanes` the sum of those of both directions; what contradicts it, empty for nothing."""
+    one_way = tags.get("oneway") in ("yes", "true", "1", "-1", "reverse")
+    ways = ["lanes:forward"] if one_way else ["lanes:forward", "lanes:backward"]
+    if "lanes" not in tags or not all(key in tags for key in ways):
+        return ""
+    total = sum(int(tags.get(key, "0")) for key in [*ways, "lanes:both_ways"])
+    if total == int(tags["lanes"]) or not total:
+        return ""
+    example = ", ".join(f"{key}={tags[key]}" for key in ["lanes", *ways])
+    tags["lanes"] = str(total)
+    return example
 
 
 def _right_value(key: str, value: str) -> tuple[str | None, str]:

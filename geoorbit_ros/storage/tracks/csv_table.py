@@ -36,6 +36,8 @@ _UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _DIGITS = {"s": 9, "ms": 6, "us": 3, "ns": 0}
 """Decimals of each unit that make a nanosecond."""
 _WORDS = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
+_DAYS = (25_569.0, 80_000.0)
+"""Days since 30 December 1899, as spreadsheets count them: from 1970 to the year 2119."""
 _SINCE_1970 = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"))
 """A time of this size or more, since 1970: in seconds each would be later than the year 5000."""
 _STEP_S = (0.005, 2.0)
@@ -68,6 +70,12 @@ def parse_times(text: pa.Array, name: str, report: InputReport) -> NDArray[np.in
         report: Takes what was assumed.
     """
     numbers = as_numbers(text)
+    if _are_days(numbers[np.isfinite(numbers)]) and not _named_unit(name):
+        told = f"column '{name}' is in days, as spreadsheets count them, by the size of its steps"
+        report.note(Treatment.REPAIRED, told)
+        since = _DAYS[0] if np.nanmax(numbers) >= _DAYS[0] else 0.0
+        seconds = np.nan_to_num((numbers - since) * 86_400.0, nan=UNKNOWN_NS * 1e-9)
+        return np.rint(seconds * 1e9).astype(np.int64)
     if np.isfinite(numbers).sum() * 2 < len(numbers):
         dates = _from_dates(text, report)
         if (dates >= 0).any():
@@ -92,6 +100,17 @@ def parse_times(text: pa.Array, name: str, report: InputReport) -> NDArray[np.in
 def _named_unit(name: str) -> str | None:
     found = _NAMED_UNIT.search(name.strip().lower())
     return ("ms", "us", "ns", "s")[(found.lastindex or 0) - 1] if found else None
+
+
+def _are_days(numbers: NDArray[np.float64]) -> bool:
+    """Whether times are days, or shares of one: a usual step between images apart."""
+    steps = np.diff(np.unique(numbers))
+    if len(steps) < _FEWEST_STEPS:
+        return False
+    low, high = float(numbers.min()), float(numbers.max())
+    if not (_DAYS[0] <= low <= high <= _DAYS[1] or 0.0 <= low <= high <= 1.0):
+        return False
+    return bool(_STEP_S[0] <= float(np.median(steps)) * 86_400.0 <= _STEP_S[1])
 
 
 def _unit_by_size(numbers: NDArray[np.float64]) -> str:

@@ -58,6 +58,8 @@ def put_before_way(text: str) -> str:
     return TEXT[:WAY] + text + TEXT[WAY:]
 
 
+FORWARD, BACKWARD = '<tag k="lanes:forward" v="{}"/>', '<tag k="lanes:backward" v="{}"/>'
+
 GOOD: dict[str, tuple[bytes | str, tuple[str, ...]]] = {
     "plain": (TEXT, ()),
     "gzip": (gzip.compress(TEXT.encode()), ()),
@@ -112,6 +114,21 @@ GOOD: dict[str, tuple[bytes | str, tuple[str, ...]]] = {
     "no lanes": (
         TEXT.replace('v="4"', 'v="0"'),
         ("numbers of lanes that no road has are not used (first: way 10: lanes=0)",),
+    ),
+    "lanes that contradict those of both directions": (
+        TEXT.replace(HIGHWAY, HIGHWAY + FORWARD.format(3) + BACKWARD.format(2)),
+        (
+            "numbers of lanes that contradict each other; those of each direction are used "
+            "(first: way 10: lanes=4, lanes:forward=3, lanes:backward=2)",
+        ),
+    ),
+    "lanes of both directions": (
+        TEXT.replace(HIGHWAY, HIGHWAY + FORWARD.format(3) + BACKWARD.format(1)),
+        (),
+    ),
+    "lanes that contradict those of a one-way road": (
+        TEXT.replace(HIGHWAY, HIGHWAY + FORWARD.format(2) + '<tag k="oneway" v="yes"/>'),
+        ("numbers of lanes that contradict each other",),
     ),
     "a width of half a metre": (
         TEXT.replace(HIGHWAY, HIGHWAY + '<tag k="width" v="0.5"/>'),

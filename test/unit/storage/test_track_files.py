@@ -390,6 +390,26 @@ def test_the_unit_in_a_columns_name_is_read_also_where_the_size_says_another(
     assert "by its size" not in said(report)
 
 
+@pytest.mark.parametrize("first", [46_356.375, 0.375])
+def test_days_of_a_spreadsheet_are_read_as_times(
+    tmp_path: Path, clean: Frames, first: float
+) -> None:
+    """Half past eight in the morning, with a date and without."""
+    header = HEADER.replace(",frame_num", "")
+    days = each(
+        lambda d: [
+            f"{first + v / 86_400:.12f}" if k == "time" else v
+            for k, v in d.items()
+            if k != "frame_num"
+        ],
+        header,
+    )
+    frames, report = read(tmp_path, days)
+    since = frames.stamp_ns - frames.stamp_ns[0]
+    assert since == pytest.approx(clean.stamp_ns - clean.stamp_ns[0], abs=20_000)
+    assert "days, as spreadsheets count them" in said(report)
+
+
 def test_columns_can_be_named_by_any_of_their_usual_names(tmp_path: Path, clean: Frames) -> None:
     content = each(
         lambda d: [1000 * v if k == "time" else v for k, v in d.items()],
