@@ -73,13 +73,20 @@ class RoadPlane:
 
         This error is the same in every frame: it shifts all vehicles at a place together.
         """
+        shift = self.fit_shifts(pixel)
+        return np.asarray(shift.transpose(0, 2, 1) @ shift)
+
+    def fit_shifts(self, pixel: ArrayLike) -> NDArray[np.float64]:
+        """(N, 8, 2) metres by which each independent 1-sigma error of the fit moves pixels (N, 2).
+
+        Two pixels move together: their distance is surer than their places.
+        """
         uv = np.asarray(pixel, dtype=np.float64).reshape(-1, 2)
         ground = transfer(self.matrix, uv)
         w = uv @ self.matrix[2, :2] + self.matrix[2, 2]
         coefficients = self.spread.reshape(24, 3)
         change = (uv @ coefficients[:, :2].T + coefficients[:, 2]).reshape(-1, 8, 3)
-        shift = (change[..., :2] - ground[:, None] * change[..., 2:]) / w[:, None, None]
-        return np.asarray(shift.transpose(0, 2, 1) @ shift)
+        return np.asarray((change[..., :2] - ground[:, None] * change[..., 2:]) / w[:, None, None])
 
     def covariance(self, pixel: ArrayLike, sigma_px: ArrayLike) -> NDArray[np.float64]:
         """Covariance (N, 2, 2) in m^2 of the ground position of pixels (N, 2).

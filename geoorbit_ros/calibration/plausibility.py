@@ -7,6 +7,8 @@ speaks against them is said, and lanes are not confirmed on such ground.
 
 from __future__ import annotations
 
+from bisect import bisect_left
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -122,6 +124,7 @@ class TrafficCheck:
     def reset(self) -> None:
         """Forget all traffic, and what was found in it."""
         self.findings: tuple[Remark, ...] = ()
+        self._times: list[float] = []
         self._new: list[NDArray[np.float64]] = []
         self._seen = np.empty((0, 11))
         self._new_rows = 0
@@ -140,6 +143,7 @@ class TrafficCheck:
         box = np.column_stack([rows[name] for name in ("x", "y", "width", "height")])
         use = np.isin(rows["class_id"], VEHICLE_CLASSES) & np.isfinite(box).all(axis=1)
         rows = rows[use & ((rows["flags"] & FLAG_PREDICTED) == 0)]
+        self._times.append(stamp_ns / 1e9)
         self._new.append(boxes_as_numbers(stamp_ns / 1e9, rows))
         self._new_rows += len(rows)
         known = min(len(self._seen) + self._new_rows, MAX_ROWS)
@@ -152,7 +156,7 @@ class TrafficCheck:
         """The findings on all traffic that is remembered, now."""
         self._remember()
         if len(self._seen):
-            traffic = seen_traffic(self._seen)
+            traffic = seen_traffic(self._seen, self._times)
             found = [
                 *sky_finding(traffic),
                 *speed_finding(traffic),
@@ -179,4 +183,5 @@ class TrafficCheck:
         if (more := len(self._seen) - MAX_ROWS) > 0:
             times = self._seen[:, TIME]
             self._seen = self._seen[np.searchsorted(times, times[more - 1]) :]
+            self._times = self._times[bisect_left(self._times, self._seen[0, TIME]) :]
         self._new, self._new_rows = [], 0

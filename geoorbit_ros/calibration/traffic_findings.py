@@ -5,7 +5,7 @@ All from medians over vehicles, so that a few odd ones don't matter.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -158,9 +158,13 @@ def on_the_road(boxes: Array, homography: Homography) -> Array:
     return np.column_stack([boxes, homography.to_ground(foot), sharp])
 
 
-def seen_traffic(seen: Array) -> SeenTraffic:
-    """Order (N, 11) what was seen, in the order of time, by vehicles."""
-    times = np.unique(seen[:, TIME])
+def seen_traffic(seen: Array, times: Sequence[float]) -> SeenTraffic:
+    """Order what was seen by vehicles.
+
+    Args:
+        seen: (N, 11), in the order of time.
+        times: Of all frames that were looked at, those without vehicles, too.
+    """
     step_s = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
     seen = seen[np.argsort(seen[:, TRACK], kind="stable")]
     time_s = seen[:, TIME]

@@ -255,6 +255,7 @@ class CameraJob:
             again = self.run.ground_tracks_again(*self.run.longest_view()[:2])
             self.lane_map = self._lanes(self._recording.tee(again), images.name)
         self._road = self.run.longest_view()[3].image()
+        self._paint = InputReport(images.name, "images")
         if self._road is not None:
             self.lane_map = follow_paint(
                 self.lane_map, self._road, self.homography, self.run.image_size, self._paint
@@ -308,7 +309,6 @@ class CameraJob:
         for sentence in images.remarks.sentences():
             remarks.note(Treatment.NOTED, sentence)
         self._note_views(remarks)
-        remarks.include(self._paint)
         if doubt := doubt_of(self.detection.detector):
             remarks.note(Treatment.DOUBTFUL, doubt)
         if self.nothing:
@@ -316,7 +316,14 @@ class CameraJob:
         projector = self.run.projector
         assert projector is not None, "lanes have been found"
         camera = CameraInput(
-            self.camera_id, tracks, self.calibration, frames, self.datum, remarks, projector
+            self.camera_id,
+            tracks,
+            self.calibration,
+            frames,
+            self.datum,
+            remarks,
+            projector,
+            image_reports=[self._paint],
         )
         self.reports = camera.reports()
         method = describe_method(self.estimator, self.update_period_s)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -145,6 +145,9 @@ EstimatorOption = Annotated[
 ]
 ASSUMED_SIZE = (1920, 1080)
 """(width, height) of an image of which nobody says how large it is. Chosen: the commonest."""
+REACH_BEYOND = 1.02
+"""Boxes may reach so far beyond their image, as a share of it. Chosen: trackers predict vehicles on
+their way out. Those of a larger image reach farther."""
 ImageSizeOption = Annotated[
     str | None,
     typer.Option(
@@ -219,6 +222,7 @@ class CameraInput:
         input_report: What was done with the rows of the track file or bag.
         projector: From boxes to the road; it has seen no frame before `ground_tracks`.
         bag_topic: The bag's topic with the boxes; empty for a track file.
+        image_reports: What is said about images of the road that were looked at.
     """
 
     camera_id: str
@@ -229,6 +233,7 @@ class CameraInput:
     input_report: InputReport
     projector: BoxProjector
     bag_topic: str = ""
+    image_reports: list[InputReport] = field(default_factory=list)
 
     @property
     def homography(self) -> Homography:
@@ -241,24 +246,24 @@ class CameraInput:
         return self.projector.image_size
 
     def reports(self) -> tuple[InputReport, ...]:
-        """What was done with both files, and what the traffic says against them."""
-        return (self.input_report, *self.projector.reports(str(self.source)))
+        """What was done with the files and images, and what the traffic says against them."""
+        traffic = self.projector.reports(str(self.source))
+        return (self.input_report, *traffic, *self.image_reports)
 
     def find_lanes(self, tracks: Iterable[StampedRows], mapper: LaneMapper) -> LaneMap:
         """See `find_lanes`."""
         return find_lanes(tracks, mapper, str(self.source), lambda: self.projector)
 
-    def follow_paint(
-        self, lane_map: LaneMap, source: str
-    ) -> tuple[LaneMap, InputReport, NDArray[np.uint8]]:
-        """See `markings.fusion.follow_paint`; also the road's image, and what is said about it."""
+    def follow_paint(self, lane_map: LaneMap, source: str) -> tuple[LaneMap, NDArray[np.uint8]]:
+        """See `markings.fusion.follow_paint`; also the road's image."""
         from geoorbit_ros.cli.images import road_background
         from geoorbit_ros.core.input_report import InputReport
         from geoorbit_ros.markings.fusion import follow_paint
 
         image, report = road_background(source), InputReport(source, "images")
         found = follow_paint(lane_map, image, self.homography, self.image_size, report)
-        return found, report, image
+        self.image_reports.append(report)
+        return found, image
 
     def ground_tracks(self) -> Iterator[StampedRows]:
         """Ground tracks frame by frame, under a progress bar."""
@@ -315,6 +320,7 @@ def load_camera(
     datum: str | None,
     out: Path,
     options: ReadOptions | None = None,
+    image: str | None = None,
 ) -> CameraInput:
     """Read what the options name; `out` must be none of it.
 
@@ -327,6 +333,7 @@ def load_camera(
         datum: Option `--datum`.
         out: Option `--out`.
         options: What else the user says about the track file.
+        image: Option `--image`: boxes are in its pixels where nobody says another size.
 
     Raises:
         GeoOrbitError: An option, a file or a value in it is wrong.
@@ -337,19 +344,12 @@ def load_camera(
 
     source = _source(tracks, bag, calibration, out)
     options = with_image_size(image_size, options)
-    topic = ""
     with status(f"reading {source}"):
-        if tracks:
-            from geoorbit_ros.storage.tracks.reader import read_tracks
-
-            name = tracks.absolute().parent.name or "camera"
-            frames, report = read_tracks(tracks, options)
-        else:
-            from geoorbit_ros.storage.track_bag import read_track_bag
-
-            content = read_track_bag(source, camera_id, options)
-            name, topic = content.camera_id or "camera", content.topic
-            frames, report = content.frames, content.report
+        name, topic, frames, report = _boxes(source, bag is not None, camera_id, options)
+        seen = None if image is None or image_size else size_of_image(image)
+        if seen is not None and _reach_within(frames, seen):
+            options = replace(options, default_size=seen)
+            name, topic, frames, report = _boxes(source, bag is not None, camera_id, options)
     size = report.image_size or ASSUMED_SIZE
     homography, origin = load_calibration(calibration, datum, size, strict=options.strict)
     note_other_classes(report, frames)
@@ -358,6 +358,45 @@ def load_camera(
     return CameraInput(
         camera_id or name, source, calibration, frames, origin, report, projector, topic
     )
+
+
+def _boxes(
+    source: Path, is_bag: bool, camera_id: str | None, options: ReadOptions
+) -> tuple[str, str, Frames, InputReport]:
+    """Name, topic, boxes and report of a track file or a bag."""
+    if is_bag:
+        from geoorbit_ros.storage.track_bag import read_track_bag
+
+        content = read_track_bag(source, camera_id, options)
+        return content.camera_id or "camera", content.topic, content.frames, content.report
+    from geoorbit_ros.storage.tracks.reader import read_tracks
+
+    return source.absolute().parent.name or "camera", "", *read_tracks(source, options)
+
+
+def _reach_within(frames: Frames, size: tuple[int, int]) -> bool:
+    """Whether boxes may be of an image of this size: nearly none reaches beyond it."""
+    import numpy as np
+
+    rows = frames.rows
+    if not len(rows):
+        return True
+    ends = (rows["x"] + 0.5 * rows["width"], rows["y"] + 0.5 * rows["height"])
+    reach = [float(np.quantile(end, 0.999)) for end in ends]
+    return all(end <= REACH_BEYOND * side for end, side in zip(reach, size, strict=True))
+
+
+def size_of_image(source: str) -> tuple[int, int]:
+    """(width, height) of an image, or of the first one of a film or folder.
+
+    Raises:
+        GeoOrbitError: There is none.
+    """
+    from geoorbit_ros.cli.images import ImageOptions, first_image, open_images
+
+    with open_images(source, ImageOptions(duration_s=0.0)) as images:
+        height, width = first_image(images).shape[:2]
+    return width, height
 
 
 def _source(tracks: Path | None, bag: Path | None, calibration: Path, out: Path) -> Path:

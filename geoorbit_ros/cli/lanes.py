@@ -61,17 +61,18 @@ def lanes(
     from geoorbit_ros.storage.atomic import atomic_output
 
     options = read_options(fps, columns, classes, strict)
-    camera = load_camera(tracks, bag, calibration, camera_id, image_size, datum, out, options)
+    camera = load_camera(
+        tracks, bag, calibration, camera_id, image_size, datum, out, options, image
+    )
     recording = Recording()
     with atomic_output(out) as path:
         ground = camera.ground_tracks()
         lane_map = camera.find_lanes(
             recording.tee(ground) if report else ground, make_mapper(estimator, update_period_s)
         )
-        view, remarks = None, camera.reports()
+        view = None
         if image:
-            lane_map, said, view = camera.follow_paint(lane_map, image)
-            remarks = (*remarks, said)
+            lane_map, view = camera.follow_paint(lane_map, image)
         write_lanes(path, lane_map, camera.datum, camera_id=camera.camera_id, estimator=estimator)
     if report:
         from geoorbit_ros.cli.report import describe_method, save_report
@@ -79,7 +80,7 @@ def lanes(
         method = describe_method(estimator, update_period_s)
         save_report(report, camera, lane_map, recording, method, image=view)
     print_lanes(lane_map, f"Lanes of {camera.camera_id}")
-    print_remarks(*remarks)
+    print_remarks(*camera.reports())
     console.print(f" Wrote {out}" + (f" and {report}" if report else ""), soft_wrap=True)
 
 

@@ -76,7 +76,7 @@ def replay(
     from geoorbit_ros.nodes.support.bag_replay import ReplayRequest
 
     options = read_options(None, None, "coco", strict)
-    camera = load_camera(None, bag, calibration, camera_id, image_size, datum, out, options)
+    camera = load_camera(None, bag, calibration, camera_id, image_size, datum, out, options, image)
     datum_deg = (camera.datum.latitude_deg, camera.datum.longitude_deg)
     size, quiet = camera.image_size, not verbose
     request = ReplayRequest(

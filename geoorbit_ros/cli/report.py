@@ -78,7 +78,9 @@ def report(
     from geoorbit_ros.report.text import summary_sentence
 
     options = read_options(fps, columns, classes, strict)
-    camera = load_camera(tracks, bag, calibration, camera_id, image_size, datum, out, options)
+    camera = load_camera(
+        tracks, bag, calibration, camera_id, image_size, datum, out, options, image
+    )
     true = read_lanes_aloud(truth, camera.datum).lane_map.lanes if truth else None
     recording = Recording()
     ground = recording.tee(camera.ground_tracks())
@@ -91,12 +93,11 @@ def report(
     else:
         lane_map = camera.find_lanes(ground, make_mapper(estimator, update_period_s))
         method = describe_method(estimator, update_period_s)
-    view, remarks = _view(image, camera.image_size) if image else None, camera.reports()
+    view = _view(image, camera.image_size) if image else None
     if image and not lanes:
-        lane_map, said, _ = camera.follow_paint(lane_map, image)
-        remarks = (*remarks, said)
+        lane_map, _ = camera.follow_paint(lane_map, image)
     save_report(out, camera, lane_map, recording, method, true, view)
-    print_remarks(*remarks)
+    print_remarks(*camera.reports())
     console.print(f"{summary_sentence(lane_map.lanes)} Wrote {out}", soft_wrap=True)
 
 

@@ -207,7 +207,7 @@ def _edge_properties(edge: LaneEdge | None) -> dict[str, Any]:
     if edge.source == "traffic":
         return about
     if edge.sigma_along_m:
-        about["boundary_sigma_along_m"] = [round(value, 3) for value in edge.sigma_along_m]
+        about["boundary_sigma_along_m"] = [_rounded(value, 3) for value in edge.sigma_along_m]
     return about | {
         "marking": edge.marking,
         "marking_colour": edge.colour,

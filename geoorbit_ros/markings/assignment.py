@@ -55,9 +55,13 @@ NEIGHBOUR_M = 5.5
 between two lanes."""
 LEAST_SHARE = 0.3
 """A line that accompanies less of a lane is no boundary of it. Chosen."""
-ONE_LANE_M = (2.5, 4.6)
-"""Distance of two lines with one lane between them: the narrowest and the widest lanes of the
-guidelines above. Two lanes are 5 m wide and more."""
+ONE_LANE_M, BUNDLES_M = (2.5, 4.3), 2.0
+"""Distance of two lines with one lane between them, and the most between two bundles of traffic in
+it: no lane is narrower than 2.5 m, so that the middles of two are farther apart (guidelines
+above)."""
+ALONG_SHARE = 0.8
+"""Two bundles in one lane are side by side along this share of both. Chosen: one that ends where
+the other begins is another lane."""
 
 
 Choice = tuple[int | None, int | None]
@@ -94,7 +98,7 @@ class _Choosing:
     """The costs of choices, as sums of squared errors."""
 
     def __init__(self, lines: Sequence[PaintedLine], centre_m: Array) -> None:
-        self._lines = lines
+        self._lines, self._centre = lines, centre_m
         self._lanes = len(centre_m)
         self._worth = [_worth(line) for line in lines]
         # (N, L) how far left of each lane's centre each line is, and the share of the lane that it
@@ -131,19 +135,32 @@ class _Choosing:
 
     def is_one_lane(self, k: int) -> bool:
         """See `in_one_painted_lane`."""
-        worth = np.array(self._worth)
-        with np.errstate(invalid="ignore"):
-            beyond = (self._side[k] < 0.0) & (self._share[k] >= BUFFER_SHARE)
-            before = (self._side[k + 1] > 0.0) & (self._share[k + 1] >= BUFFER_SHARE)
-            between = (self._side[k] > 0.0) & (self._side[k + 1] < 0.0)
-        clear = worth >= BUFFER_WORTH * max(self._worth, default=0.0)
-        right, left = np.flatnonzero(beyond & clear), np.flatnonzero(before & clear)
-        if not len(right) or not len(left) or (worth[between] > 0.0).any():
+        here, there = self._centre[k : k + 2]
+        both, either = (
+            np.count_nonzero(joined(np.isfinite(here), np.isfinite(there)))
+            for joined in (np.logical_and, np.logical_or)
+        )
+        if both < ALONG_SHARE * either or not 0.0 < _median(there - here) < BUNDLES_M:
             return False
-        # The nearest ones: offsets are from the same lane's centre.
+        clear = np.array(self._worth) >= BUFFER_WORTH * LINE_WORTH
+        with np.errstate(invalid="ignore"):
+            near = (np.abs(self._side) > NEAREST_M) & (np.abs(self._side) < FARTHEST_M)
+            near &= (self._share >= BUFFER_SHARE) & clear
+            right = near[k] & near[k + 1] & (self._side[k] < 0.0) & (self._side[k + 1] < 0.0)
+            left = near[k] & near[k + 1] & (self._side[k] > 0.0) & (self._side[k + 1] > 0.0)
+        if not right.any() or not left.any() or self._is_paint_between(here, there):
+            return False
         low, high = self._side[k, right].max(), self._side[k, left].min()
         narrowest, widest = ONE_LANE_M
         return bool(narrowest <= high - low <= widest)
+
+    def _is_paint_between(self, right_m: Array, left_m: Array) -> bool:
+        """Whether a line that is no seam lies between two lanes, were it for a short way."""
+        with np.errstate(invalid="ignore"):
+            return any(
+                worth > 0.0 and bool(((line.offset_m > right_m) & (line.offset_m < left_m)).any())
+                for line, worth in zip(self._lines, self._worth, strict=True)
+            )
 
     def _options(self, k: int, sign: float) -> list[int | None]:
         """Lines that may bound lane `k` on one side: 1 for the left."""

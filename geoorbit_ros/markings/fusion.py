@@ -21,6 +21,7 @@ from geoorbit_ros.core.polylines import project
 from geoorbit_ros.markings.assignment import (
     CLEAR_CONTRAST,
     NEIGHBOUR_M,
+    Choice,
     choose_lines,
     in_one_painted_lane,
 )
@@ -206,36 +207,52 @@ def with_painted_edges(lane_map: LaneMap, roads: Sequence[Road]) -> LaneMap:
     changed: dict[int, Lane | None] = {}
     for road in roads:
         changed |= {lane.lane_id: None for lane in road.lanes}
-        whole = _without_bundles(road)
-        choice = choose_lines(whole.lines, whole.centre_m)
+        whole, choice = _assigned(road)
         for k, lane in enumerate(whole.lanes):
             changed[lane.lane_id] = _bounded(whole, k, *choice[k])
     found = (changed.get(lane.lane_id, lane) for lane in lane_map.lanes)
     return replace(lane_map, lanes=tuple(lane for lane in found if lane is not None))
 
 
-def _without_bundles(road: Road) -> Road:
-    """The road with one lane wherever neighbours are in one painted lane."""
+def _assigned(road: Road) -> tuple[Road, list[Choice]]:
+    """The road with the lines that bound its lanes, and one lane for bundles in one painted lane.
+
+    A lane of several bundles that is not bounded by two lines is none.
+    """
+    whole, joined = _without_bundles(road)
+    choice = choose_lines(whole.lines, whole.centre_m)
+    if any(None in choice[k] for k in joined):
+        return road, choose_lines(road.lines, road.centre_m)
+    return whole, choice
+
+
+def _without_bundles(road: Road) -> tuple[Road, list[int]]:
+    """The road with one lane wherever neighbours are in one painted lane, and which these are."""
     lanes, centre = list(road.lanes), list(road.centre_m)
-    one = in_one_painted_lane(road.lines, road.centre_m)
-    for k in reversed(np.flatnonzero(one).tolist()):
-        if _leads_along(lanes[k], road.strip) != _leads_along(lanes[k + 1], road.strip):
-            continue
+    joined: list[int] = []
+    for k in np.flatnonzero(in_one_painted_lane(road.lines, road.centre_m))[::-1].tolist():
         pair = lanes[k : k + 2]
-        main = max(range(2), key=lambda n: pair[n].vehicles)
-        kept = pair[main]
-        confirmed = "confirmed" in (lane.status for lane in pair)
-        lanes[k : k + 2] = [
-            replace(
-                kept,
-                vehicles=sum(lane.vehicles for lane in pair),
-                confidence=max(lane.confidence for lane in pair),
-                status="confirmed" if confirmed else "tentative",
-                vehicles_missing=min(lane.vehicles_missing for lane in pair),
-            )
-        ]
-        centre[k : k + 2] = [centre[k + main]]
-    return replace(road, lanes=tuple(lanes), centre_m=np.array(centre))
+        if _leads_along(pair[0], road.strip) == _leads_along(pair[1], road.strip):
+            lanes[k : k + 2] = [_joined(*pair)]
+            weight = [max(lane.vehicles, 1e-9) for lane in pair]
+            mean = np.average(centre[k : k + 2], axis=0, weights=weight)
+            known = [np.where(np.isfinite(mean), mean, line) for line in centre[k : k + 2]]
+            centre[k : k + 2] = [np.where(np.isfinite(known[0]), *known)]
+            joined = [k, *(j - 1 for j in joined if j > k + 1)]
+    return replace(road, lanes=tuple(lanes), centre_m=np.array(centre)), joined
+
+
+def _joined(a: Lane, b: Lane) -> Lane:
+    """One lane of two bundles: the longer one's lines, the older one's id, the traffic of both."""
+    confirmed = "confirmed" in (a.status, b.status)
+    return replace(
+        max(a, b, key=lambda lane: lane.length_m),
+        lane_id=min(a.lane_id, b.lane_id),
+        vehicles=a.vehicles + b.vehicles,
+        confidence=max(a.confidence, b.confidence),
+        status="confirmed" if confirmed else "tentative",
+        vehicles_missing=min(a.vehicles_missing, b.vehicles_missing),
+    )
 
 
 def _side_by_side(lanes: Sequence[Lane]) -> list[list[Lane]]:
@@ -291,16 +308,19 @@ def _bounded(road: Road, k: int, right: int | None, left: int | None) -> Lane:
     if not same_way:
         lines, edges = lines[::-1], edges[::-1]
     both = right is not None and left is not None
+    if right is None or left is None:
+        width_sigma_m, sigma_m = hypot(*(edge.sigma_m for edge in edges)), lane.sigma_m
+    else:
+        width_sigma_m, sigma_m = _sigma_between_m(road, right, left, known)
     driven = float(np.nanmedian((centre - middle)[known])) * (1.0 if same_way else -1.0)
-    sigma = [edge.sigma_m for edge in edges]
     return replace(
         lane,
         right_m=lines[0],
         centerline_m=lines[1],
         left_m=lines[2],
         width_m=float(np.nanmean((high - low)[known])),
-        width_sigma_m=hypot(*sigma),
-        sigma_m=0.5 * hypot(*sigma) if both else lane.sigma_m,
+        width_sigma_m=width_sigma_m,
+        sigma_m=sigma_m,
         right_edge=edges[0],
         left_edge=edges[1],
         driven_offset_m=driven if both else float("nan"),
@@ -357,6 +377,33 @@ def _sigma_m(
     normal = strip.normal[at]
     plane = np.einsum("ni,nij,nj->n", normal, covariance, normal)
     return at, np.sqrt(plane + np.square(line.sigma_m[at]))
+
+
+def _sigma_between_m(
+    road: Road, right: int, left: int, known: NDArray[np.bool_]
+) -> tuple[float, float]:
+    """1-sigma of the distance of two lines, and of the middle between them.
+
+    An error of the calibration moves both lines nearly alike: the width feels little of it, the
+    middle all of it.
+    """
+    strip = road.strip
+    lines = (road.lines[right], road.lines[left])
+    at = np.flatnonzero(known & np.isfinite(lines[0].offset_m) & np.isfinite(lines[1].offset_m))
+    if not len(at):  # one ends where the other begins
+        sigma = [float(np.nanmean(_sigma_m(road, line, known)[1])) for line in lines]
+        return hypot(*sigma), 0.5 * hypot(*sigma)
+    at = at[:: max(len(at) // 20, 1)]
+    shifts, noise = [], np.zeros(len(at))
+    for line in lines:
+        pixel = road.homography.to_pixel(strip.place(line.offset_m)[at])
+        shifts.append(np.einsum("nki,ni->nk", road.homography.fit_shifts(pixel), strip.normal[at]))
+        across = np.einsum("nij,ni->nj", road.homography.jacobian(pixel), strip.normal[at])
+        noise += PIXEL_SIGMA**2 * np.square(across).sum(axis=1) + np.square(line.sigma_m[at])
+    apart, middle = shifts[1] - shifts[0], 0.5 * (shifts[1] + shifts[0])
+    of_width = np.square(apart).sum(axis=1) + noise
+    of_middle = np.square(middle).sum(axis=1) + 0.25 * noise
+    return float(np.sqrt(of_width.mean())), float(np.sqrt(of_middle.mean()))
 
 
 def _points(lane: Lane, strip: RoadStrip, offset_m: Array) -> Array:

@@ -420,10 +420,14 @@ def _width_m(strip: RoadStrip, rows: NDArray[np.int64], columns: NDArray[np.int6
 
 def _profile(strip: RoadStrip, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> Array:
     """Median brightness across a line, `PROFILE_M` to both sides."""
+    return np.asarray(np.median(_light(strip, rows, columns), axis=0))
+
+
+def _light(strip: RoadStrip, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> Array:
+    """(N, 2 K + 1) brightness across a line at some stations."""
     reach = round(PROFILE_M / ACROSS_M)
     at = np.clip(columns[:, None] + np.arange(-reach, reach + 1), 0, strip.bgr.shape[1] - 1)
-    light = strip.bgr[rows[:, None], at, 1:].mean(axis=2, dtype=np.float64)
-    return np.asarray(np.median(light, axis=0))
+    return np.asarray(strip.bgr[rows[:, None], at, 1:].mean(axis=2, dtype=np.float64))
 
 
 def _twin(
@@ -450,6 +454,11 @@ def _twin(
     if best is None:
         return None
     low, a, b = best
+    # Dashes beside a line show in the median, too, where they cover half.
+    light = _light(strip, rows, columns) - np.quantile(profile, 0.2)
+    lasting = [np.mean(light[:, k] >= 0.5 * height[k]) for k in (a, b)]
+    if min(lasting) < SOLID_SHARE:
+        return None
     paint = np.flatnonzero(height >= 0.5 * low)
     paint = paint[(paint >= a - beside) & (paint <= b + beside)]
     return a - reach, b - reach, float(paint[-1] - paint[0] + 1) * ACROSS_M

@@ -31,6 +31,9 @@ exact predictions more, smaller lets a track lost for long take others' detectio
 GAP_COST = 3.0
 """Cost of a second unobserved: the longer, the more likely the vehicle is gone and this another.
 Chosen: larger loses vehicles behind trucks, smaller gives their ids to others."""
+MOST_DOUBT = 10.0
+"""Most that the score of a detection costs an unconfirmed track. Chosen: with more, a vehicle whose
+score no other one had is a new track in each image, and never gets an id."""
 TENTATIVE_COST = 6.0
 """Cost of an unconfirmed track: a false box beside a vehicle must not take its detection. Chosen:
 larger confirms new vehicles later in dense traffic."""
@@ -109,6 +112,8 @@ def candidate_pairs(
             distance = distance_within(farthest if cut else gate, state, measured, variance)
             if distance is None:
                 continue
+            if doubtful > MOST_DOUBT and not track.track_id:
+                doubtful = MOST_DOUBT
             cost = (TAIL + 4.0) * math.log1p(distance / TAIL) + alone + doubtful
             if class_id != track.class_id:
                 cost += CLASS_COST

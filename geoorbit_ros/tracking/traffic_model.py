@@ -195,7 +195,7 @@ vehicles, smaller lets false boxes continue tracks."""
 PRIOR_WEIGHT = 3.0
 """Weight of the share of tracks that last. Chosen on the same data: larger waits longer where a
 detector sees many false boxes, smaller shows more of them."""
-MAX_PRIOR = 1.5
+MAX_PRIOR = 2.0
 """Most that this share says for a new track, as log-odds. Chosen: with 3 a film at 25 images per
 second has a quarter more short false tracks, with less vehicles are shown later."""
 

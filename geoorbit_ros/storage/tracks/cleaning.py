@@ -386,8 +386,9 @@ def _without_twins(
     raw: RawTracks, rows: NDArray[np.void], stamp_ns: NDArray[np.int64], at: NDArray[np.intp]
 ) -> NDArray[np.intp]:
     """Of several boxes of one id in one frame the surest stays, the first among equals."""
-    later, next_id = np.diff(stamp_ns[at]), np.diff(rows["track_id"][at])
-    if ((later > 0) | ((later == 0) & (next_id > 0))).all():
+    time, track_id = stamp_ns[at], rows["track_id"][at]
+    later, same = time[1:] > time[:-1], time[1:] == time[:-1]
+    if (later | (same & (track_id[1:] > track_id[:-1]))).all():
         return at  # ordered by time and id, as most files are
     order = np.lexsort((-rows["score"][at], rows["track_id"][at], stamp_ns[at]))
     sorted_at = at[order]

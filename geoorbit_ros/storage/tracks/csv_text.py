@@ -47,6 +47,8 @@ _EXCEL_LINE = re.compile(r"sep=.?", re.IGNORECASE)
 _BLANKS = re.compile(r"(?<=\S)[ \t]+(?=\S)")
 """Between values of a line without any other delimiter."""
 _CONTENT, _FIRST_ROW = re.compile(r"\S"), re.compile(r"^.*\S.*$", re.MULTILINE)
+_AROUND_VALUES = '" \t\v\f\x1c\x1d\x1e\x1f'
+"""ASCII blanks, and quotes, in which line ends may be: without any of them nothing is to trim."""
 _NEWLINE, _RETURN = 10, 13
 
 
@@ -245,7 +247,7 @@ def _table(
 
     table = _parsed(data, len(names), delimiter, quoted='"' in body, skip=skip)
     columns = [table[name].combine_chunks().cast(pa.string()) for name in table.column_names]
-    if not body.isascii() or any(blank in body for blank in " \t\v\f"):
+    if not body.isascii() or any(mark in body for mark in _AROUND_VALUES):
         columns = [pc.utf8_trim_whitespace(column) for column in columns]
     lines = _content_lines(data)
     # Rows are numbered from 1 among the lines that are not empty.

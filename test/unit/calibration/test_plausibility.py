@@ -173,6 +173,17 @@ def test_traffic_that_stops_and_goes_is_slow_and_no_fault() -> None:
     assert "none stops" not in said
 
 
+def test_images_without_vehicles_count_among_the_times() -> None:
+    """Slow traffic that a detector sees in every third image: its times are no frame numbers."""
+    projector = BoxProjector(fit_homography(CAMERA.control_points()), (1920, 1080))
+    for k, (stamp_ns, rows) in enumerate(CARS):
+        seen = rows.copy()
+        if k % 3:
+            seen["class_id"] = 0
+        projector.traffic.add(5 * stamp_ns, seen)
+    assert projector.traffic.judge() == ()
+
+
 def test_no_lane_is_confirmed_on_doubtful_rows_and_all_are_again_without() -> None:
     projector = BoxProjector(fit_homography(CAMERA.control_points()), (1920, 1080))
     ground = [(stamp_ns, projector.project(stamp_ns, rows)) for stamp_ns, rows in CARS]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import re
 from collections.abc import Callable
@@ -90,6 +91,7 @@ def test_boundaries_follow_the_lines_of_an_image(
     assert scores[1]["centerline_mean_m"] < min(scores[0]["centerline_mean_m"], 0.12)
     assert abs(scores[1]["lanes"][0]["width_error_m"]) < 0.06
     assert "white line, solid" in page.read_text(encoding="utf-8")
+    assert "4 of 4 lane boundaries follow a painted line" in page.read_text(encoding="utf-8")
     again = tmp_path / "again.geojson"
     run(*lanes_of(camera, again, "--image", road))
     assert again.read_bytes() == out.read_bytes()
@@ -132,6 +134,37 @@ def test_an_image_of_another_size_of_the_same_view_will_do(
     cv2.imwrite(str(road), cv2.resize(image, (1280, 720), interpolation=cv2.INTER_AREA))
     out = tmp_path / "lanes.geojson"
     assert run(*lanes_of(camera, out, "--image", road))[0] == 0
+    assert edges_of(out) == ["paint"] * 4
+
+
+def test_boxes_are_in_the_pixels_of_the_image_where_nobody_says_another_size(
+    camera: CameraFiles, tmp_path: Path, run: Run
+) -> None:
+    """The same camera with images half as large."""
+    _, image = painted_road(camera, tmp_path)
+    half = tmp_path / "half.png"
+    cv2.imwrite(str(half), cv2.resize(image, (960, 540), interpolation=cv2.INTER_AREA))
+    files = {}
+    for name, source, columns in (
+        ("tracks", camera.tracks, ("x", "y", "w", "h")),
+        ("calibration", camera.calibration, ("pixel_x", "pixel_y")),
+    ):
+        files[name] = tmp_path / f"{name}.csv"
+        with source.open(encoding="utf-8") as old, files[name].open("w", encoding="utf-8") as new:
+            comments = [line for line in old if line.startswith("#")]
+            old.seek(0)
+            rows = csv.DictReader(line for line in old if not line.startswith("#"))
+            new.writelines(comments)
+            writer = csv.DictWriter(new, rows.fieldnames or ())
+            writer.writeheader()
+            writer.writerows(
+                row | {k: f"{0.5 * float(row[k]):.4f}" for k in columns} for row in rows
+            )
+    out = tmp_path / "lanes.geojson"
+    words = ("--tracks", files["tracks"], "--calibration", files["calibration"], "--out", out)
+    code, said, _ = run("lanes", *words, "--image", half)
+    assert code == 0
+    assert "is the image really" not in said
     assert edges_of(out) == ["paint"] * 4
 
 

@@ -153,6 +153,13 @@ def test_what_bounds_a_lane_goes_along(tmp_path: Path) -> None:
     assert (back.right_edge.source, back.right_edge.sigma_m) == ("traffic", 0.2)
 
 
+def test_an_error_that_is_not_known_is_null(tmp_path: Path) -> None:
+    edge = replace(SOLID, sigma_along_m=(float("nan"), *SIGMA_ALONG_M[1:]))
+    write_lanes(tmp_path / "l.geojson", LaneMap(1, (replace(PAINTED, left_edge=edge),)), DATUM)
+    (back,) = read_lanes(tmp_path / "l.geojson").lanes
+    assert back.left_edge is not None
+
+
 def test_edges_change_sides_with_boundaries_that_are_exchanged(tmp_path: Path) -> None:
     path = tmp_path / "lanes.geojson"
     write_lanes(path, LaneMap(1, (PAINTED,)), DATUM)

