@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from geoorbit_ros.calibration.camera_pose import CameraPose
 from geoorbit_ros.calibration.plane import Homography
 from geoorbit_ros.calibration.traffic_findings import (
+    COLUMNS,
     TIME,
     border_finding,
     boxes_as_numbers,
@@ -126,7 +127,7 @@ class TrafficCheck:
         self.findings: tuple[Remark, ...] = ()
         self._times: list[float] = []
         self._new: list[NDArray[np.float64]] = []
-        self._seen = np.empty((0, 11))
+        self._seen = np.empty((0, COLUMNS))
         self._new_rows = 0
         self._sampled_ns = self._judged_ns = -(1 << 62)
 

@@ -143,6 +143,7 @@ TIME, TRACK, BOX, FLAGS, CLASS = 0, 1, slice(2, 6), 6, 7
 """Columns of `boxes_as_numbers`."""
 GROUND, SHARP = slice(8, 10), 10
 """Columns that `on_the_road` adds."""
+COLUMNS = 11
 
 
 def boxes_as_numbers(time_s: float, rows: NDArray[np.void]) -> Array:
@@ -153,7 +154,8 @@ def boxes_as_numbers(time_s: float, rows: NDArray[np.void]) -> Array:
 
 def on_the_road(boxes: Array, homography: Homography) -> Array:
     """(N, 11) of (N, 8): with the ground below the middle of each box's lower edge."""
-    foot = boxes[:, BOX][:, :2] + np.column_stack((np.zeros(len(boxes)), boxes[:, 5] / 2))
+    x, y, _, height = boxes[:, BOX].T
+    foot = np.column_stack((x, y + height / 2))
     sharp = homography.sigma_m(foot, 1.5) <= SHARP_M
     return np.column_stack([boxes, homography.to_ground(foot), sharp])
 

@@ -110,6 +110,16 @@ def first_image(images: FrameSource) -> NDArray[np.uint8]:
     raise FrameSourceError(images.name, "no image that can be used", "at least one")
 
 
+def first_view(source: str) -> NDArray[np.uint8]:
+    """The first image of a source.
+
+    Raises:
+        GeoOrbitError: There is none.
+    """
+    with open_images(source, ImageOptions(duration_s=0.0)) as images:
+        return first_image(images)
+
+
 def road_background(source: str) -> NDArray[np.uint8]:
     """The road without vehicles: a still image as it is, of a film the median of its beginning.
 

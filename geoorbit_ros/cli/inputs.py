@@ -340,16 +340,19 @@ def load_camera(
     """
     from geoorbit_ros.calibration.box_projector import BoxProjector
     from geoorbit_ros.cli.console import status
+    from geoorbit_ros.cli.images import first_view
     from geoorbit_ros.lanes.pipeline import note_other_classes
 
     source = _source(tracks, bag, calibration, out)
     options = with_image_size(image_size, options)
     with status(f"reading {source}"):
         name, topic, frames, report = _boxes(source, bag is not None, camera_id, options)
-        seen = None if image is None or image_size else size_of_image(image)
-        if seen is not None and _reach_within(frames, seen):
-            options = replace(options, default_size=seen)
-            name, topic, frames, report = _boxes(source, bag is not None, camera_id, options)
+        if image and not image_size:
+            height, width = first_view(image).shape[:2]
+            seen = (width, height)
+            if seen != report.image_size and _reach_within(frames, seen):
+                options = replace(options, default_size=seen)
+                name, topic, frames, report = _boxes(source, bag is not None, camera_id, options)
     size = report.image_size or ASSUMED_SIZE
     homography, origin = load_calibration(calibration, datum, size, strict=options.strict)
     note_other_classes(report, frames)
@@ -384,19 +387,6 @@ def _reach_within(frames: Frames, size: tuple[int, int]) -> bool:
     ends = (rows["x"] + 0.5 * rows["width"], rows["y"] + 0.5 * rows["height"])
     reach = [float(np.quantile(end, 0.999)) for end in ends]
     return all(end <= REACH_BEYOND * side for end, side in zip(reach, size, strict=True))
-
-
-def size_of_image(source: str) -> tuple[int, int]:
-    """(width, height) of an image, or of the first one of a film or folder.
-
-    Raises:
-        GeoOrbitError: There is none.
-    """
-    from geoorbit_ros.cli.images import ImageOptions, first_image, open_images
-
-    with open_images(source, ImageOptions(duration_s=0.0)) as images:
-        height, width = first_image(images).shape[:2]
-    return width, height
 
 
 def _source(tracks: Path | None, bag: Path | None, calibration: Path, out: Path) -> Path:

@@ -107,11 +107,10 @@ def _view(source: str, image_size: tuple[int, int]) -> NDArray[np.uint8]:
     Raises:
         GeoOrbitError: There is none, or it has other proportions than the images of the boxes.
     """
-    from geoorbit_ros.cli.images import ImageOptions, first_image, open_images
+    from geoorbit_ros.cli.images import first_view
     from geoorbit_ros.core.errors import ParameterError
 
-    with open_images(source, ImageOptions(duration_s=0.0)) as images:
-        view = first_image(images)
+    view = first_view(source)
     height, width = view.shape[:2]
     if abs(width * image_size[1] / (height * image_size[0]) - 1.0) > MAX_STRETCH:
         found = f"{source}, {width}x{height} pixels"

@@ -7,7 +7,7 @@ out, counted and told; a file is refused when most of it is bad.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -225,18 +225,20 @@ def _lane(collection: Collection, lane_id: int, roles: dict[str, Line], datum: D
     center = lines["centerline"]
     given = roles["centerline" if "centerline" in roles else "left"].properties
     width = _number(given, "width_m", float("nan"))
+    edges = [
+        _edge(roles[role].properties, len(center)) if role in roles else None for role in ROLES[1:]
+    ]
     sides = []
-    for role, sign in (("left", 1.0), ("right", -1.0)):
+    for k, (role, sign) in enumerate((("left", 1.0), ("right", -1.0))):
         if role in lines:
             beside = _same_way(center, lines[role])
+            if beside is not lines[role] and (edge := edges[k]) is not None:
+                edges[k] = replace(edge, sigma_along_m=edge.sigma_along_m[::-1])
             same = len(beside) == len(center)
             sides.append(beside if same else _beside(center, beside))
         else:
             half = 0.5 * (width if np.isfinite(width) else DRAWN_WIDTH_M)
             sides.append(offset_line(center, sign * half))
-    edges = [
-        _edge(roles[role].properties, len(center)) if role in roles else None for role in ROLES[1:]
-    ]
     both = "left" in lines and "right" in lines
     if both and _on_left(center, sides[1]) > 0.0 > _on_left(center, sides[0]):
         sides.reverse()

@@ -172,20 +172,28 @@ def test_edges_change_sides_with_boundaries_that_are_exchanged(tmp_path: Path) -
     assert back.left_edge == SOLID
 
 
+def read_with_left(folder: Path, words: dict[str, object], *, turned: bool = False) -> Lane:
+    """The painted lane from a file that says something else of its left boundary."""
+    path = folder / "lanes.geojson"
+    write_lanes(path, LaneMap(1, (PAINTED,)), DATUM)
+    data = json.loads(path.read_text())
+    for feature in data["features"]:
+        if feature["properties"]["role"] == "left":
+            feature["properties"].update(words)
+            if turned:
+                feature["geometry"]["coordinates"].reverse()
+    path.write_text(json.dumps(data))
+    (back,) = read_lanes(path).lanes
+    return back
+
+
 @pytest.mark.parametrize(
     "words", [{"marking": "zigzag"}, {"boundary_source": "survey"}, {"marking_colour": 7}]
 )
 def test_words_of_other_programs_about_a_boundary_say_nothing(
     tmp_path: Path, words: dict[str, object]
 ) -> None:
-    path = tmp_path / "lanes.geojson"
-    write_lanes(path, LaneMap(1, (PAINTED,)), DATUM)
-    data = json.loads(path.read_text())
-    for feature in data["features"]:
-        if feature["properties"]["role"] == "left":
-            feature["properties"].update(words)
-    path.write_text(json.dumps(data))
-    (back,) = read_lanes(path).lanes
+    back = read_with_left(tmp_path, words)
     assert back.left_edge is None
     assert np.allclose(back.left_m, PAINTED.left_m, atol=1e-3)
 
@@ -194,15 +202,16 @@ def test_words_of_other_programs_about_a_boundary_say_nothing(
 def test_errors_along_a_boundary_that_are_not_one_for_each_point_say_nothing(
     tmp_path: Path, given: object
 ) -> None:
-    path = tmp_path / "lanes.geojson"
-    write_lanes(path, LaneMap(1, (PAINTED,)), DATUM)
-    data = json.loads(path.read_text())
-    for feature in data["features"]:
-        if feature["properties"]["role"] == "left":
-            feature["properties"]["boundary_sigma_along_m"] = given
-    path.write_text(json.dumps(data))
-    (back,) = read_lanes(path).lanes
+    back = read_with_left(tmp_path, {"boundary_sigma_along_m": given})
     assert back.left_edge == replace(SOLID, sigma_along_m=())
+
+
+def test_a_boundary_drawn_the_other_way_round_has_its_errors_at_the_same_places(
+    tmp_path: Path,
+) -> None:
+    back = read_with_left(tmp_path, {}, turned=True)
+    assert np.allclose(back.left_m, PAINTED.left_m, atol=1e-3)
+    assert back.left_edge == replace(SOLID, sigma_along_m=SIGMA_ALONG_M[::-1])
 
 
 @pytest.mark.parametrize("heading", [0.0, 45.0, 90.0, 200.0, 355.0])
