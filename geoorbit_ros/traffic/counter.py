@@ -1,0 +1,115 @@
+"""From ground tracks to passages and crossings, on one lane map, as data comes in."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.calibration.plane import RoadPlane
+from geoorbit_ros.core.lanes import Lane
+from geoorbit_ros.core.tables import Frames
+from geoorbit_ros.traffic.lane_sequence import LaneMatcher
+from geoorbit_ros.traffic.motion_fit import VEHICLE_SCALE
+from geoorbit_ros.traffic.passages import find_passages
+from geoorbit_ros.traffic.records import CROSSING_DTYPE, NO_LANE, PASSAGE_DTYPE
+from geoorbit_ros.traffic.road_coordinates import RoadCoordinates
+from geoorbit_ros.traffic.stations import find_crossings, place_stations
+from geoorbit_ros.traffic.vehicle_paths import PathCollector, Paths
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Counted:
+    """Vehicles that are gone, in the order in which they were last seen.
+
+    Attributes:
+        passages: (P,) `PASSAGE_DTYPE`.
+        crossings: (C,) `CROSSING_DTYPE`.
+        vehicles: How many vehicles these are, those in no lane included.
+        in_no_lane: How many of them drove along no lane.
+    """
+
+    passages: NDArray[np.void]
+    crossings: NDArray[np.void]
+    vehicles: int
+    in_no_lane: int
+
+
+class TrafficCounter:
+    """Counts vehicles in the lanes of one map.
+
+    The map may be replaced (`use_lanes`); vehicles that are still in view are then counted on the
+    new one.
+
+    Args:
+        lanes: The lanes, in the tracks' frame; at least one.
+        plane: The calibration, for the error that is common to all speeds; None: it is exact.
+
+    Attributes:
+        vehicles: Vehicles so far that are gone.
+    """
+
+    def __init__(self, lanes: Sequence[Lane], plane: RoadPlane | None = None) -> None:
+        self._plane = plane
+        self._paths = PathCollector()
+        self.vehicles = 0
+        self.use_lanes(lanes)
+
+    def use_lanes(self, lanes: Sequence[Lane]) -> None:
+        """Count on these lanes from now on."""
+        roads = RoadCoordinates(lanes)
+        self.lanes = roads.lanes
+        self._matcher = LaneMatcher(roads)
+        self._lane_id = np.array([*(lane.lane_id for lane in lanes), NO_LANE], np.int64)
+        self.stations = place_stations(lanes)
+        self._scale_sigma = np.array([scale_sigma(lane, self._plane) for lane in lanes])
+
+    def add(self, frames: Frames) -> None:
+        """Take frames of `TRACK_DTYPE`, later than those before."""
+        self._paths.add(frames)
+
+    def take(self) -> Counted:
+        """Vehicles that have gone since the last call."""
+        return self._count(self._paths.take())
+
+    def finish(self) -> Counted:
+        """All vehicles that are left."""
+        return self._count(self._paths.finish())
+
+    def _count(self, paths: Paths) -> Counted:
+        if not len(paths):
+            return Counted(np.empty(0, PASSAGE_DTYPE), np.empty(0, CROSSING_DTYPE), 0, 0)
+        found = self._matcher.lanes_of(paths)
+        passages = self._named(find_passages(paths, found))
+        crossings = self._named(find_crossings(paths, found, self.stations))
+        first_ns, last_ns = self._paths.observed_ns
+        inside = (crossings["stamp_ns"] >= first_ns) & (crossings["stamp_ns"] <= last_ns)
+        self.vehicles += len(paths)
+        missing = len(paths) - len(np.unique(passages["vehicle_id"]))
+        return Counted(passages, crossings[inside], len(paths), missing)
+
+    def _named(self, table: NDArray[np.void]) -> NDArray[np.void]:
+        """Give vehicles and lanes their ids, and speeds the errors that places don't show."""
+        scale = np.hypot(self._scale_sigma[table["lane_id"]], VEHICLE_SCALE)
+        table["speed_sigma_mps"] = np.hypot(table["speed_sigma_mps"], scale * table["speed_mps"])
+        table["vehicle_id"] += self.vehicles + 1
+        for name in {"lane_id", "from_lane", "to_lane"}.intersection(table.dtype.names or ()):
+            table[name] = self._lane_id[table[name]]
+        return table
+
+
+def scale_sigma(lane: Lane, plane: RoadPlane | None) -> float:
+    """1-sigma relative error of a lane's length: what the control points' errors leave."""
+    if plane is None:
+        return 0.0
+    ends = plane.to_pixel(lane.centerline_m[[0, -1]])
+    if not np.isfinite(ends).all():
+        return 0.0
+    shift = plane.fit_shifts(ends)
+    way = lane.centerline_m[-1] - lane.centerline_m[0]
+    length = float(np.hypot(*way))
+    return float(np.linalg.norm((shift[1] - shift[0]) @ (way / length)) / length)
