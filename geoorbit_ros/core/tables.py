@@ -6,6 +6,7 @@ offline path and the node graph compute on identical bits.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -104,6 +105,16 @@ def frames_from_rows(stamp_ns: NDArray[np.int64], rows: NDArray[np.void]) -> Fra
     order = np.argsort(stamp_ns, kind="stable")
     stamps, start = np.unique(stamp_ns[order], return_index=True)
     return Frames(stamps, np.append(start, len(rows)).astype(np.int64), rows[order])
+
+
+def frames_of(
+    stamped: Sequence[tuple[int, NDArray[np.void]]], dtype: np.dtype[np.void] = TRACK_DTYPE
+) -> Frames:
+    """Frames of stamps and their rows, in time order; frames without rows included."""
+    offset = np.append(0, np.cumsum([len(rows) for _, rows in stamped])).astype(np.int64)
+    tables = [np.empty(0, dtype), *(rows for _, rows in stamped)]
+    stamps = np.array([stamp_ns for stamp_ns, _ in stamped], np.int64)
+    return Frames(stamps, offset, np.concatenate(tables))
 
 
 def one_class_each(rows: NDArray[np.void]) -> NDArray[np.int64]:

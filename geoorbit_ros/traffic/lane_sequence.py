@@ -44,6 +44,8 @@ BESIDE_M = 6.0
 """Lanes whose middles are this near, side by side, are neighbours. Chosen: less than two widths."""
 AT_ONCE = 1_000_000
 """Rows of the longest path times vehicles that are decoded together: 20 MB for ten lanes."""
+TURN_NS = 5_000_000_000
+"""Least time in which a vehicle turns round. Chosen: a car's U-turn on a wide road."""
 DIRECTION_M = 2.0
 """A vehicle that moved less far has no direction. Chosen: the noise of places."""
 
@@ -109,6 +111,20 @@ def directions(paths: Paths) -> Array:
     heading = np.arctan2(step_y, step_x)
     moves = np.hypot(step_x, step_y) >= np.maximum(DIRECTION_M, 2.0 * rows["sigma"])
     return np.where(moves, heading, np.nan)
+
+
+def cut_at_oncoming(paths: Paths, found: LaneSequence) -> Paths:
+    """The paths, cut where a vehicle would go from a lane into an oncoming one within seconds.
+
+    No vehicle turns round so fast: its id went over to another one.
+    """
+    rows = np.flatnonzero(found.lane >= 0)
+    heading = found.places.heading_rad[rows, found.lane[rows]]
+    same = np.diff(paths.owner[rows]) == 0
+    fast = np.diff(paths.rows["stamp_ns"][rows]) < TURN_NS
+    turned = np.cos(np.diff(heading)) < OPPOSITE_COS
+    cuts = rows[1:][same & fast & turned]
+    return Paths(np.union1d(paths.offset, cuts).astype(np.int64), paths.rows)
 
 
 def _new_information(paths: Paths) -> Array:

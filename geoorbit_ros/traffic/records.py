@@ -46,10 +46,12 @@ CROSSING_DTYPE = np.dtype(
         ("stamp_ns", "<i8"),
         ("speed_mps", "<f8"),
         ("speed_sigma_mps", "<f8"),
+        ("speed_scale_sigma", "<f8"),
         ("length_m", "<f8"),
     ]
 )
 """One row per vehicle and counting station: when its middle crossed the line, in which lane.
 
 A station is a line across the lanes of one direction, so that nobody is counted in two of them.
-`speed_mps` is the spot speed, from the path within a second of the line."""
+`speed_mps` is the spot speed, from the path near the line; `speed_scale_sigma` is the part of its
+error, relative to it, that all vehicles of the lane share: the calibration's."""

@@ -45,12 +45,10 @@ class Paths:
     Attributes:
         offset: (V + 1,) rows of vehicle k are `rows[offset[k]:offset[k + 1]]`.
         rows: `PATH_DTYPE`, each vehicle's in time order.
-        fragments: (V,) how many tracks make up each.
     """
 
     offset: NDArray[np.int64]
     rows: NDArray[np.void]
-    fragments: NDArray[np.int64]
 
     def __len__(self) -> int:
         return len(self.offset) - 1
@@ -159,8 +157,7 @@ def _track_numbers(rows: NDArray[np.void]) -> NDArray[np.int64]:
 
 
 def _no_paths() -> Paths:
-    none = np.zeros(0, np.int64)
-    return Paths(np.zeros(1, np.int64), np.empty(0, PATH_DTYPE), none)
+    return Paths(np.zeros(1, np.int64), np.empty(0, PATH_DTYPE))
 
 
 def _paths(chains: list[list[Fragment]]) -> Paths:
@@ -171,4 +168,4 @@ def _paths(chains: list[list[Fragment]]) -> Paths:
         rows = np.concatenate([fragment.rows for fragment in chain])
         tables.append(rows[np.argsort(rows["stamp_ns"], kind="stable")])
     offset = np.append(0, np.cumsum([len(table) for table in tables])).astype(np.int64)
-    return Paths(offset, np.concatenate(tables), np.array([len(chain) for chain in chains]))
+    return Paths(offset, np.concatenate(tables))
