@@ -17,13 +17,13 @@ OUTLIER = 1.0
 1964), as boxes are cut at the image's border or merge with others."""
 ITERATIONS = 6
 """Of the reweighted fit. Chosen: the weights change by less than a percent afterwards."""
-FREEDOM = 3.0
+FREEDOM = 1.0
 """Errors are taken to be as expected until the residuals of so many independent places say
 otherwise. Chosen: more makes the errors of sharp places too large, fewer makes the error of short
 passages a guess."""
 SAME_ERROR_S = 0.5
 """Places of one vehicle within this time have the same error (`lane_sequence.SAME_ERROR_S`)."""
-VEHICLE_SCALE = 0.005
+VEHICLE_SCALE = 0.003
 """1-sigma relative error of a vehicle's speed that its places don't show: the point that is taken
 for its place moves along it while it comes nearer."""
 NO_SPEED = 1e-6
