@@ -31,6 +31,7 @@ from geoorbit_ros.cli.inputs import (
 from geoorbit_ros.core.errors import ParameterError
 
 if TYPE_CHECKING:
+    from geoorbit_ros.calibration.datum import Datum
     from geoorbit_ros.calibration.plane import RoadPlane
     from geoorbit_ros.cli.inputs import CameraInput
     from geoorbit_ros.core.input_report import InputReport
@@ -74,6 +75,14 @@ def traffic(
         str,
         typer.Option("--class-scheme", help="Vehicle classes: coco, fhwa3, tls5+1 or a YAML file."),
     ] = "coco",
+    road_map: Annotated[
+        Path | None,
+        typer.Option(
+            "--map",
+            metavar="AREA.osm|NET.net.xml",
+            help="Also write the counts as SUMO's tools read them, on this map: OUT/sumo.",
+        ),
+    ] = None,
     camera_id: CameraIdOption = None,
     estimator: EstimatorOption = DEFAULT_ESTIMATOR,
     image_size: ImageSizeOption = None,
@@ -91,11 +100,13 @@ def traffic(
     Into the folder go vehicles.csv (a row per vehicle and lane), intervals.csv (a row per interval,
     lane and class), movements.csv (from which lane to which), the same as Parquet, and
     lanes.geojson. Nobody draws a line: the lanes are those of [bold]geoorbit lanes[/bold].
+    With --map, OUT/sumo has counts with bounds, turns and detectors for SUMO's routeSampler and
+    flowrouter.
 
     Example: [bold]geoorbit traffic --tracks tracks.csv --calibration calibration.csv
     --interval 5min --out traffic[/bold]
     """
-    from geoorbit_ros.cli.console import print_remarks
+    from geoorbit_ros.cli.console import print_remarks, say
     from geoorbit_ros.scenes.output import check_new_folder
     from geoorbit_ros.storage.atomic import atomic_output
 
@@ -118,7 +129,10 @@ def traffic(
         folder.mkdir()
         recorded = source.count()
         _write(folder, source, recorded, scheme, clock)
+        said = _write_for_sumo(folder / "sumo", road_map, source, recorded, clock)
     _tell(source, recorded, scheme)
+    for sentence in said:
+        say(sentence)
     print_remarks(*source.reports())
     _say_where(out, recorded, clock)
 
@@ -131,6 +145,7 @@ class TrafficSource:
         camera_id: Its name.
         lane_map: The lanes.
         write_lanes: Writes them to a file.
+        datum: Origin of the map frame of both.
         plane: The calibration, if it is known.
         blocks: The ground tracks.
         max_gap_s: How long a pause between frames may be.
@@ -140,6 +155,7 @@ class TrafficSource:
     camera_id: str
     lane_map: LaneMap
     write_lanes: Callable[[Path], None]
+    datum: Datum
     plane: RoadPlane | None
     blocks: Callable[[], Iterator[Frames]]
     max_gap_s: float
@@ -183,6 +199,7 @@ def _of_camera(
         camera.camera_id,
         lane_map,
         write,
+        camera.datum,
         camera.homography,
         lambda: iter([frames_of(ground)]),
         usual_gap_s(camera.frames),
@@ -226,7 +243,7 @@ def _of_database(
     def write(path: Path) -> None:
         write_lanes(path, file.lane_map, file.datum, camera_id=name, estimator=file.estimator)
 
-    return TrafficSource(name, file.lane_map, write, plane, blocks, GAP_S, lambda: ())
+    return TrafficSource(name, file.lane_map, write, file.datum, plane, blocks, GAP_S, lambda: ())
 
 
 def _write(
@@ -257,6 +274,32 @@ def _write(
         write_csv(folder / f"{name}.csv", parts)
         write_parquet(folder / f"{name}.parquet", parts)
     source.write_lanes(folder / "lanes.geojson")
+
+
+def _write_for_sumo(
+    folder: Path,
+    road_map: Path | None,
+    source: TrafficSource,
+    recorded: Recorded,
+    clock: IntervalClock,
+) -> list[str]:
+    """Counts for SUMO's tools, if a map is given; what is to be said about them."""
+    if road_map is None:
+        return []
+    from geoorbit_ros.roadnet.map_build import build_from_osm
+    from geoorbit_ros.roadnet.network import load_network
+    from geoorbit_ros.roadnet.network_file import is_network
+    from geoorbit_ros.twin.demand.count_files import write_counts
+    from geoorbit_ros.twin.demand.measured_demand import measure_demand
+
+    folder.mkdir()
+    if is_network(road_map):
+        network = load_network(road_map, source.datum)
+    else:
+        network = build_from_osm(road_map, folder, source.datum).network
+    demand = measure_demand(recorded, network, clock)
+    write_counts(folder, demand.counts)
+    return demand.sentences()
 
 
 def _tell(source: TrafficSource, recorded: Recorded, scheme: ClassScheme) -> None:

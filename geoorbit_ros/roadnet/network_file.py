@@ -5,6 +5,7 @@ from __future__ import annotations
 import bz2
 import gzip
 import lzma
+import re
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -123,6 +124,16 @@ def read_unpacked(path: str | Path, expected: str) -> bytes:
             except (OSError, EOFError, ValueError, zlib.error, lzma.LZMAError) as error:
                 raise RoadNetworkError(str(path), f"broken {name} ({error})", expected) from error
     return data
+
+
+def is_network(path: str | Path) -> bool:
+    """Whether a file, packed or not, is a SUMO network; else it may be a map to build one of.
+
+    Raises:
+        RoadNetworkError: No such file, or a broken archive.
+    """
+    expected = f"{_EXPECTED}, or an OpenStreetMap extract"
+    return re.search(rb"<net[\s>]", read_unpacked(path, expected)) is not None
 
 
 def parse_xml(path: str | Path, expected: str = _EXPECTED) -> Xml.ElementTree[Xml.Element]:

@@ -1,0 +1,1 @@
+"""Demand for SUMO from counted vehicles: counts with bounds, and scenarios of whole days."""
