@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import gzip
 import json
 import os
 import subprocess
@@ -28,7 +29,7 @@ import sumo
 from geoorbit_ros.cli.main import main as geoorbit
 from geoorbit_ros.scenes.scene import shipped_scenes
 
-INTERVAL_S, DURATION_S = 300, 900
+INTERVAL_S, DURATION_S = 300, 600
 ALLOWED_GEH, ALLOWED_TOTAL = 0.05, 0.03
 TOOLS = Path(sumo.SUMO_HOME) / "tools"
 PROGRAMS = Path(sys.executable).parent
@@ -123,7 +124,8 @@ def try_camera(name: str, folder: Path, network: Path, arguments: list[str]) -> 
     files = out / "sumo"
     said = run(
         *(sys.executable, TOOLS / "routeSampler.py", "-r", "routes.rou.xml"),
-        *("-d", "edgedata.xml", "-t", "turns.xml", "--keep-attributes", "-o", "sampled.rou.xml"),
+        *("-d", "edgedata.xml", "-t", "turns.xml", "--keep-attributes", "--weighted"),
+        *("-o", "sampled.rou.xml"),
         folder=files,
     )
     counted = counted_per_lane(files)
@@ -149,8 +151,10 @@ def cameras(names: list[str], folder: Path) -> Iterator[tuple[str, Path, Path, l
     for place in sorted(real.glob("*/osm.net.xml.gz")) if real.is_dir() else ():
         source, out = place.parent, folder / place.parent.name
         out.mkdir()
+        network = out / "network.net.xml"  # flowrouter reads no packed files
+        network.write_bytes(gzip.decompress(place.read_bytes()))
         boxes = ["--tracks", str(source / "trajectory.csv")]
-        yield source.name, out, place, [*boxes, "--calibration", str(source / "calibration.csv")]
+        yield source.name, out, network, [*boxes, "--calibration", str(source / "calibration.csv")]
 
 
 def main() -> None:

@@ -110,13 +110,13 @@ def traffic(
     from geoorbit_ros.scenes.output import check_new_folder
     from geoorbit_ros.storage.atomic import atomic_output
 
-    clock = _clock(interval, timezone)
+    clock = clock_of(interval, timezone)
     scheme = _scheme(class_scheme)
     check_new_folder(out, overwrite=force)
     if database is not None:
         if tracks or bag:
             raise ParameterError("options --tracks, --bag and --database", "two", "one of them")
-        source = _of_database(database, camera_id, calibration, lanes)
+        source = source_of_database(database, camera_id, calibration, lanes)
     else:
         if calibration is None:
             raise ParameterError("option --calibration", "nothing", "a file of control points")
@@ -147,7 +147,7 @@ class TrafficSource:
         write_lanes: Writes them to a file.
         datum: Origin of the map frame of both.
         plane: The calibration, if it is known.
-        blocks: The ground tracks.
+        blocks: The ground tracks from one stamp on and before another; None: all.
         max_gap_s: How long a pause between frames may be.
         reports: What is to be said about the input.
     """
@@ -157,17 +157,19 @@ class TrafficSource:
     write_lanes: Callable[[Path], None]
     datum: Datum
     plane: RoadPlane | None
-    blocks: Callable[[], Iterator[Frames]]
+    blocks: Callable[[int | None, int | None], Iterator[Frames]]
     max_gap_s: float
     reports: Callable[[], tuple[InputReport, ...]]
 
-    def count(self) -> Recorded:
-        """Count all vehicles."""
+    def count(self, begin_ns: int | None = None, end_ns: int | None = None) -> Recorded:
+        """Count all vehicles, or those from one stamp on and before another."""
         from geoorbit_ros.traffic.count import record
         from geoorbit_ros.traffic.counter import TrafficCounter
 
         return record(
-            TrafficCounter(self.lane_map.lanes, self.plane), self.blocks(), self.max_gap_s
+            TrafficCounter(self.lane_map.lanes, self.plane),
+            self.blocks(begin_ns, end_ns),
+            self.max_gap_s,
         )
 
 
@@ -201,13 +203,13 @@ def _of_camera(
         write,
         camera.datum,
         camera.homography,
-        lambda: iter([frames_of(ground)]),
+        lambda _begin_ns, _end_ns: iter([frames_of(ground)]),
         usual_gap_s(camera.frames),
         camera.reports,
     )
 
 
-def _of_database(
+def source_of_database(
     database: Path, camera_id: str | None, calibration: Path | None, lanes: Path | None
 ) -> TrafficSource:
     """The traffic of one camera in a trajectory database.
@@ -236,9 +238,9 @@ def _of_database(
     assert file is not None
     plane = read_plane(calibration, file.datum) if calibration else None
 
-    def blocks() -> Iterator[Frames]:
+    def blocks(begin_ns: int | None, end_ns: int | None) -> Iterator[Frames]:
         with TrajectoryReader(database) as reader:
-            yield from reader.batches(name)
+            yield from reader.batches(name, begin_ns, end_ns)
 
     def write(path: Path) -> None:
         write_lanes(path, file.lane_map, file.datum, camera_id=name, estimator=file.estimator)
@@ -349,7 +351,7 @@ def _say_where(out: Path, recorded: Recorded, clock: IntervalClock) -> None:
     )
 
 
-def _clock(interval: str, timezone: str | None) -> IntervalClock:
+def clock_of(interval: str, timezone: str | None) -> IntervalClock:
     """The intervals of `15min`.
 
     Raises:

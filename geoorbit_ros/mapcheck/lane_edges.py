@@ -80,24 +80,31 @@ class LaneEdges:
             found[part.lane] = min(part.place_m, found.get(part.lane, np.inf))
         return found
 
+    def before(self, lane: int) -> list[int]:
+        """The lanes that lead into a lane, across a junction."""
+        return self._beyond(lane, self.network.predecessors)
+
     def onward(self, lane: int) -> int:
         """The lane after one, across a junction; `NO_LANE` unless it is one edge, and in view."""
-        return self._beside(lane, self.network.successors)
+        return self._only(self._beyond(lane, self.network.successors))
 
     def backward(self, lane: int) -> int:
         """The lane before one; `NO_LANE` unless it is one edge, and in view."""
-        return self._beside(lane, self.network.predecessors)
+        return self._only(self.before(lane))
 
-    def _beside(self, lane: int, links: tuple[tuple[int, ...], ...]) -> int:
-        network, found, waiting = self.network, set[int](), list(links[lane])
+    def _beyond(self, lane: int, links: tuple[tuple[int, ...], ...]) -> list[int]:
+        found, waiting = set[int](), list(links[lane])
         while waiting:
             k = waiting.pop()
-            if network.internal[k]:
+            if self.network.internal[k]:
                 waiting += links[k]
             else:
                 found.add(k)
-        seen = sorted(k for k in found if network.edge_id[k] in self._edges_in_view)
-        return seen[0] if len({network.edge_id[k] for k in found}) == 1 and seen else NO_LANE
+        return sorted(found)
+
+    def _only(self, lanes: list[int]) -> int:
+        edges = {self.network.edge_id[k] for k in lanes}
+        return lanes[0] if len(edges) == 1 and edges <= self._edges_in_view else NO_LANE
 
     @cached_property
     def _edges_in_view(self) -> frozenset[str]:

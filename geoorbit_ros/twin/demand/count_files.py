@@ -127,6 +127,11 @@ class _Places:
             for lane in way.counted:
                 self.uses[k, at[lane]] += 1
         self._seen, self._count = counts.seen @ self.uses, counts.count @ self.uses
+        # A vehicle that crosses two stations on one edge is on it once.
+        self._on_edge = {
+            edge: self.uses[:, places].any(axis=1).astype(np.int64)
+            for edge, places in self.edges.items()
+        }
         variance = np.zeros(self._seen.shape)
         for d, detector in enumerate(source.detectors):
             variance[:, at[detector.lane]] += source.lane_sigma[:, d] ** 2
@@ -147,22 +152,27 @@ class _Places:
         np.add.at(found, (*cell, 1), 1.0)
         return found
 
-    def count(self, k: int, places: Sequence[int]) -> int:
-        """Vehicles in interval k at some of the lanes."""
-        return int(self._count[k, list(places)].sum())
+    def of_edge(self, k: int, edge: str) -> dict[str, str]:
+        """Attributes of SUMO's files for an edge in interval k."""
+        counts, uses = self._source.counts, self._on_edge[edge]
+        return self._values(
+            k, self.edges[edge], int(counts.seen[k] @ uses), int(counts.count[k] @ uses)
+        )
 
-    def values(self, k: int, places: Sequence[int]) -> dict[str, str]:
-        """Attributes of SUMO's files: vehicles in interval k at some of the lanes, and speeds."""
-        at = list(places)
-        entered = self.count(k, at)
-        sigma = float(np.sqrt(self._variance[k, at].sum()))
-        sigma = max(sigma, COUNT_SIGMA * entered)
+    def of_lane(self, k: int, place: int) -> dict[str, str]:
+        """The same for a lane: vehicles and speed."""
+        seen, count = int(self._seen[k, place]), int(self._count[k, place])
+        values = self._values(k, [place], seen, count)
+        return {name: values[name] for name in ("entered", "speed") if name in values}
+
+    def _values(self, k: int, at: list[int], seen: int, entered: int) -> dict[str, str]:
+        sigma = max(float(np.sqrt(self._variance[k, at].sum())), COUNT_SIGMA * entered)
         pace, vehicles = self._pace[k, at].sum(axis=0)
         found = {
             "entered": str(entered),
             "entered_low": str(int(np.ceil(max(entered - BOUND_SIGMAS * sigma, 0.0) - 1e-9))),
             "entered_high": str(int(np.floor(entered + BOUND_SIGMAS * sigma + 1e-9))),
-            "seen": str(int(self._seen[k, at].sum())),
+            "seen": str(seen),
             "observed": f"{self._source.counts.observed[k]:.4f}",
         }
         return found | ({"speed": f"{vehicles / pace:.2f}"} if vehicles else {})
@@ -177,8 +187,8 @@ def _edge_data(source: SumoCounts, places: _Places) -> Xml.Element:
     root = Xml.Element("data")
     for k, begin, end in source.intervals():
         interval = _interval(root, "counted", begin, end)
-        for edge, at in places.edges.items():
-            Xml.SubElement(interval, "edge", {"id": edge, **places.values(k, at)})
+        for edge in places.edges:
+            Xml.SubElement(interval, "edge", {"id": edge, **places.of_edge(k, edge)})
     return root
 
 
@@ -190,9 +200,8 @@ def _lane_data(source: SumoCounts, places: _Places) -> Xml.Element:
         for edge, at in places.edges.items():
             element = Xml.SubElement(interval, "edge", id=edge)
             for place in at:
-                values = places.values(k, [place])
-                kept = {name: values[name] for name in ("entered", "speed") if name in values}
-                Xml.SubElement(element, "lane", {"id": names[places.lanes[place]], **kept})
+                values = places.of_lane(k, place)
+                Xml.SubElement(element, "lane", {"id": names[places.lanes[place]], **values})
     return root
 
 

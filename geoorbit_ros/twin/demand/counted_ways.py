@@ -167,12 +167,27 @@ class _WayFinder:
             lanes += self._edges.lanes_between(int(row["lane_id"]), begin_m, end_m)
         edge_of = self._edges.network.edge_id
         here = [edge_of[lane] for lane in counted]
-        for chosen in (self._extended(lanes), list(counted), [counted[0]]):
+        tries = (lanes, list(counted), [counted[0]])
+        for chosen in (*(self._extended(lanes) for lanes in tries), [counted[0]]):
             route = self._route(tuple(dict.fromkeys(edge_of[lane] for lane in chosen)))
-            if route is not None and (set(here) <= set(route) or len(chosen) == 1):
+            if route is not None and here[0] in route:
                 begin = next(lane for lane in chosen if edge_of[lane] == route[0])
-                return route, begin
+                return route, self._traced_back(route, counted[0], begin)
         raise AssertionError("a single edge is a route")
+
+    def _traced_back(self, route: tuple[str, ...], counted: int, other: int) -> int:
+        """The lane of a route's first edge that leads to the lane in which a vehicle was counted.
+
+        Where lanes are seen best, at the stations, it is surest which one a vehicle is in; `other`
+        is the one where it was first seen, for vehicles that must have changed lanes.
+        """
+        network, lane = self._edges.network, counted
+        for edge in reversed(route[: route.index(network.edge_id[counted])]):
+            before = [k for k in self._edges.before(lane) if network.edge_id[k] == edge]
+            if not before:
+                return other
+            lane = before[0]
+        return lane
 
     def _extended(self, lanes: list[int]) -> list[int]:
         """With the lanes before and after that are in view and can't be missed."""
