@@ -75,23 +75,29 @@ def simulated_per_lane(folder: Path, network: Path, routes: str) -> tuple[Counts
             for row in csv.DictReader(lines)
         }
     found: Counts = Counter()
+    last_s = max(begin for _, begin in counted_per_lane(folder))
     for interval in Xml.parse(folder / "detected.xml").iter("interval"):
-        lane = lane_of[interval.attrib["id"]]
-        found[lane, float(interval.attrib["begin"])] += int(interval.attrib["nVehContrib"])
+        # Those who departed in the last interval and come by after it belong to it.
+        begin_s = min(float(interval.attrib["begin"]), last_s)
+        found[lane_of[interval.attrib["id"]], begin_s] += int(interval.attrib["nVehContrib"])
     return found, sum(1 for _ in Xml.parse(folder / "trips.xml").iter("tripinfo"))
 
 
 def flows_routed(folder: Path, network: Path) -> int:
-    """Vehicles that flowrouter makes of the detectors' flows."""
-    total = 0
+    """Vehicles that flowrouter makes of the detectors' flows; 0 where it finds no way.
+
+    It takes no edge that is both the first and the last one.
+    """
+    total, emitted = 0, folder / "emitted.xml"
     for column in ("qPKW", "qLKW"):
+        emitted.unlink(missing_ok=True)
         run(
             *(sys.executable, TOOLS / "detector" / "flowrouter.py", "-n", network),
             *("-d", "detectors.add.xml", "-f", "flows.csv", "--flow-column", column),
-            *("-i", str(INTERVAL_S // 60), "-o", "routed.xml", "-e", "emitted.xml"),
+            *("-i", str(INTERVAL_S // 60), "-o", "routed.xml", "-e", emitted.name),
             folder=folder,
         )
-        flows = Xml.parse(folder / "emitted.xml").iter("flow")
+        flows = Xml.parse(emitted).iter("flow") if emitted.exists() else ()
         total += sum(int(float(flow.attrib["number"])) for flow in flows)
     return total
 
@@ -135,7 +141,7 @@ def try_camera(name: str, folder: Path, network: Path, arguments: list[str]) -> 
     print(said, file=sys.stderr)
     tell(name, counted, simulated, total, arrived)
     routed = flows_routed(files, network)
-    print(f"{name}: flowrouter makes {routed} vehicles of {counted.total()}", file=sys.stderr)
+    print(f"{name}: flowrouter makes {routed} vehicles of {total}", file=sys.stderr)
 
 
 def cameras(names: list[str], folder: Path) -> Iterator[tuple[str, Path, Path, list[str]]]:

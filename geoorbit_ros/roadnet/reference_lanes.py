@@ -92,7 +92,7 @@ def reference_lanes(network: RoadNetwork, view_m: NDArray[np.float64]) -> tuple[
     for chain in lane_chains(network):
         if not network.for_motors[chain].all():
             continue
-        line, width = _joined(network, chain)
+        line, width = chain_line(network, chain)
         run = _longest_run(inside(line, view_m))
         if run.stop - run.start < MIN_LENGTH_M / SAMPLE_M:
             continue
@@ -156,10 +156,10 @@ def _directions(network: RoadNetwork) -> tuple[NDArray[np.float64], NDArray[np.f
     return np.arctan2(first[:, 1], first[:, 0]), np.arctan2(last[:, 1], last[:, 0])
 
 
-def _joined(
+def chain_line(
     network: RoadNetwork, chain: list[int]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Points every `SAMPLE_M` along a chain, and the lane's width at each."""
+    """(K, 2) points every `SAMPLE_M` along a chain, and (K,) the lane's width at each."""
     line = np.concatenate([network.line(k) for k in chain])
     width = np.concatenate([np.full(len(network.line(k)), network.width_m[k]) for k in chain])
     step = np.hypot(*np.diff(line, axis=0).T)

@@ -110,7 +110,7 @@ def find_ways(
     """
     at = {(d.lane_id, d.station_id): d.lane for d in detectors}
     draw, rows, beside = _WayFinder(edges), list[tuple[Way, int, float, float]](), 0
-    driven = dict(_by_vehicle(passages))
+    driven, edge_of = dict(_by_vehicle(passages)), edges.network.edge_id
     for vehicle, crossed in _by_vehicle(crossings):
         crossed = crossed[np.argsort(crossed["stamp_ns"], kind="stable")]
         lanes = [at.get((int(r["lane_id"]), int(r["station_id"])), NO_LANE) for r in crossed]
@@ -118,12 +118,17 @@ def find_ways(
         if not known:
             beside += 1
             continue
-        first, counted = crossed[known[0]], tuple(lanes[k] for k in known)
-        route, begin = draw.way(driven.get(vehicle, passages[:0]), counted)
-        kind = int(type_of_class(first["class_id"][None])[0])
-        limit = float(edges.network.speed_mps[counted[0]])
-        way = Way(route, begin, counted, kind)
-        rows.append((way, int(first["stamp_ns"]), float(first["speed_mps"]), limit))
+        seen = driven.get(vehicle, passages[:0])
+        while known:
+            route, begin = draw.way(seen, tuple(lanes[k] for k in known))
+            here = [k for k in known if edge_of[lanes[k]] in route]
+            first = crossed[here[0]]
+            kind = int(type_of_class(first["class_id"][None])[0])
+            way = Way(route, begin, tuple(lanes[k] for k in here), kind)
+            limit = float(edges.network.speed_mps[way.counted[0]])
+            rows.append((way, int(first["stamp_ns"]), float(first["speed_mps"]), limit))
+            # Where no route leads from one station to the next, the track went to another vehicle.
+            known, seen = [k for k in known if k not in here], passages[:0]
     rows.sort(key=lambda row: row[1])
     ways = sorted({row[0] for row in rows})
     number = {way: k for k, way in enumerate(ways)}

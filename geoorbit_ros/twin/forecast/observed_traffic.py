@@ -1,8 +1,7 @@
 """Demand for a forecast from what the twin saw in the last minutes.
 
-A flow is the distance driven in a stretch of road, over its length and the time (L. C. Edie 1963,
-"Discussion of traffic stream measurements and definitions"). A vehicle whose track breaks counts
-once, because its parts together drive the same distance.
+Flows are counts: each vehicle once, where it crosses the counting station of its lanes
+(`traffic.stations`).
 """
 
 from __future__ import annotations
@@ -10,23 +9,19 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.core.polylines import project
 from geoorbit_ros.roadnet.network import NO_LANE, RoadNetwork
-from geoorbit_ros.roadnet.routing import MAX_EDGES, RouteFinder
+from geoorbit_ros.twin.forecast.counted_flows import count_ways
 from geoorbit_ros.twin.placement import TwinStep
 from geoorbit_ros.twin.vehicles import TYPES
 
 SAMPLE_NS = 500_000_000
-"""Time between two samples. Chosen: more often costs memory, more seldom misses vehicles in short
-stretches."""
-STRETCH_M, MIN_LENGTH_M = 60.0, 20.0
-"""Length of the stretches in which flow is measured, and the least where less is seen. Chosen:
-every vehicle leaves some samples in such a stretch; longer ones average over parts that are seen
-badly."""
+"""Time between two samples. Chosen: more often costs memory, more seldom leaves few places of a
+vehicle beside a counting station."""
 MIN_TIME_S = 10.0
 """A forecast needs this much observed traffic. Chosen: less gives flows of single vehicles, more
 makes users wait."""
@@ -39,12 +34,15 @@ ENOUGH_SAMPLES = 40
 ENOUGH_M = 1000.0
 """Distance driven on an edge from which on its own drivers are drawn: ten vehicles over 100 m.
 Chosen: larger takes drivers of other roads, smaller repeats a few."""
-TRIM = 0.01
-"""Share of positions at either end that are left out. Chosen: the outermost are of single vehicles;
-larger shortens the stretch that is seen."""
-
 _SAMPLE = np.dtype(
-    [("vehicle", "<i8"), ("lane", "<i8"), ("xy", "<f8", 2), ("kind", "<i8"), ("speed", "<f8")]
+    [
+        ("stamp_ns", "<i8"),
+        ("vehicle", "<i8"),
+        ("lane", "<i8"),
+        ("xy", "<f8", 2),
+        ("kind", "<i8"),
+        ("speed", "<f8"),
+    ]
 )
 """A vehicle in one sample."""
 
@@ -95,8 +93,7 @@ class Demand:
         turns: For each edge, how many vehicles went on to which edge.
         drivers: Those who were seen.
         lane_kmh: Mean speed in each lane in which enough was seen, by SUMO's id.
-        edge_flow_per_h: Flow on every edge that was seen: the entering flows, parted by `turns`.
-            What enters a junction leaves it.
+        edge_flow_per_h: Flow on every edge that was seen. What enters a junction leaves it.
     """
 
     time_s: float
@@ -134,6 +131,7 @@ class ObservedTraffic:
             return
         kept = step.observed & (step.lane != NO_LANE) & np.isfinite(step.xy[:, 0])
         rows = np.empty(int(np.count_nonzero(kept)), _SAMPLE)
+        rows["stamp_ns"] = step.stamp_ns
         rows["vehicle"], rows["lane"] = step.vehicle_id[kept], step.lane[kept]
         rows["xy"], rows["kind"] = step.xy[kept], step.kind[kept]
         rows["speed"] = np.hypot(*step.velocity[kept].T)
@@ -164,47 +162,25 @@ class ObservedTraffic:
             return None
         time_s = self.time_s
         rows = np.concatenate([rows for _, rows in self._samples])
-        edge_of, internal = self._network.edge_id, self._network.internal
-        rows = rows[~internal[rows["lane"]]]
+        rows = rows[~self._network.internal[rows["lane"]]]
         if time_s < MIN_TIME_S or not len(rows):
             return None
-        flow = {}
-        edges = np.array(edge_of, dtype=object)[rows["lane"]]
-        for edge in sorted(set(edges.tolist())):
-            flow[edge] = self._flow_per_h(rows[edges == edge], time_s)
-        turns = self._turns(rows, edges)
-        after = {target for targets in turns.values() for target in targets}
-        roots = _balanced({e: v for e, v in flow.items() if e not in after}, turns, flow)
+        ways = count_ways(self._network, rows)
+        if not len(ways):
+            return None
+        enter, turns, flow = Counter[str](), dict[str, Counter[str]](), Counter[str]()
+        for number, count in Counter(ways.way.tolist()).items():
+            route = ways.ways[number].edges
+            enter[route[0]] += count
+            flow.update(dict.fromkeys(route, count))
+            for here, there in pairwise(route):
+                turns.setdefault(here, Counter())[there] += count
+        per_h = 3600.0 / time_s
         drivers = self._drivers(rows)
         speeds = self._lane_kmh(rows)
-        return Demand(time_s, roots, turns, drivers, speeds, flow | _carried_on(roots, turns))
-
-    def _flow_per_h(self, rows: NDArray[np.void], time_s: float) -> float:
-        """Flow of an edge by its rows, in the stretch where most was seen.
-
-        A camera sees less of what is far away or hidden, so the largest of the flows in stretches
-        of `STRETCH_M` is nearest to the truth.
-        """
-        arc = project(rows["xy"], self._network.line(int(rows["lane"].min()))).arc_m
-        order = np.argsort(arc)
-        arc = arc[order]
-        driven_m = np.append(0.0, np.cumsum(rows["speed"][order])) * SAMPLE_NS * 1e-9
-        low, high = np.quantile(arc, [TRIM, 1.0 - TRIM])
-        stretch_m = float(np.clip(high - low, MIN_LENGTH_M, STRETCH_M))
-        begin = np.arange(low, max(high - stretch_m, low) + 1.0, 0.25 * stretch_m)
-        first, last = np.searchsorted(arc, begin), np.searchsorted(arc, begin + stretch_m)
-        return 3600.0 * float((driven_m[last] - driven_m[first]).max()) / (stretch_m * time_s)
-
-    def _turns(self, rows: NDArray[np.void], edges: NDArray[np.object_]) -> dict[str, Counter[str]]:
-        finder, turns = RouteFinder(self._network), dict[str, Counter[str]]()
-        order = np.argsort(rows["vehicle"], kind="stable")  # in time, for every vehicle
-        vehicle, edge = rows["vehicle"][order], edges[order]
-        moved = np.flatnonzero((vehicle[1:] == vehicle[:-1]) & (edge[1:] != edge[:-1]))
-        for pair, count in Counter(zip(edge[moved], edge[moved + 1], strict=True)).items():
-            route = finder.complete(list(pair))
-            for here, there in zip(route or [], (route or [])[1:], strict=False):
-                turns.setdefault(here, Counter())[there] += count
-        return turns
+        entering = {edge: per_h * count for edge, count in sorted(enter.items())}
+        carried = {edge: per_h * count for edge, count in sorted(flow.items())}
+        return Demand(time_s, entering, turns, drivers, speeds, carried)
 
     def _lane_kmh(self, rows: NDArray[np.void]) -> dict[str, float]:
         """Space mean speeds: of all samples in a lane, in which slow vehicles have more."""
@@ -231,42 +207,3 @@ class ObservedTraffic:
         edge = np.array(self._network.edge_id, dtype=object)[by_lane[:, 1]]
         who, lane = by_lane.T
         return Drivers(edge, kind[who], factor[who], driven_m, lane)
-
-
-def _balanced(
-    roots: dict[str, float], turns: Mapping[str, Mapping[str, int]], seen: Mapping[str, float]
-) -> dict[str, float]:
-    """Entering flows, raised to what is seen farther on: a camera sees less far away."""
-    reached = {root: _shares(root, turns) for root in roots}
-    total: dict[str, float] = {}
-    for root, shares in reached.items():
-        for edge, share in shares.items():
-            total[edge] = total.get(edge, 0.0) + roots[root] * share
-    return {
-        root: flow * max(1.0, *(seen.get(edge, 0.0) / max(total[edge], 1e-9) for edge in shares))
-        for (root, flow), shares in zip(roots.items(), reached.values(), strict=True)
-    }
-
-
-def _carried_on(
-    roots: Mapping[str, float], turns: Mapping[str, Mapping[str, int]]
-) -> dict[str, float]:
-    """Flow of every edge that the entering flows reach."""
-    flow: dict[str, float] = {}
-    for root, entering in roots.items():
-        for edge, share in _shares(root, turns).items():
-            flow[edge] = flow.get(edge, 0.0) + entering * share
-    return flow
-
-
-def _shares(root: str, turns: Mapping[str, Mapping[str, int]]) -> dict[str, float]:
-    """Share of the traffic entering at an edge that reaches each edge after it."""
-    shares, waiting = {root: 1.0}, deque([root])
-    while waiting and len(shares) < MAX_EDGES:
-        here = waiting.popleft()
-        out = sum(turns.get(here, {}).values())
-        for edge, count in turns.get(here, {}).items():
-            if edge not in shares:
-                shares[edge] = shares[here] * count / out
-                waiting.append(edge)
-    return shares
