@@ -41,6 +41,14 @@ if TYPE_CHECKING:
     from geoorbit_ros.traffic.count import Recorded
     from geoorbit_ros.traffic.interval_clock import IntervalClock
 
+RoadMapOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--map",
+        metavar="AREA.osm|NET.net.xml",
+        help="Also write the counts as SUMO's tools read them, on this map: OUT/sumo.",
+    ),
+]
 _UNIT_S = {"s": 1, "min": 60, "h": 3600, "d": 86_400}
 
 
@@ -75,14 +83,7 @@ def traffic(
         str,
         typer.Option("--class-scheme", help="Vehicle classes: coco, fhwa3, tls5+1 or a YAML file."),
     ] = "coco",
-    road_map: Annotated[
-        Path | None,
-        typer.Option(
-            "--map",
-            metavar="AREA.osm|NET.net.xml",
-            help="Also write the counts as SUMO's tools read them, on this map: OUT/sumo.",
-        ),
-    ] = None,
+    road_map: RoadMapOption = None,
     camera_id: CameraIdOption = None,
     estimator: EstimatorOption = DEFAULT_ESTIMATOR,
     image_size: ImageSizeOption = None,

@@ -86,11 +86,11 @@ class LaneEdges:
 
     def onward(self, lane: int) -> int:
         """The lane after one, across a junction; `NO_LANE` unless it is one edge, and in view."""
-        return self._only(self._beyond(lane, self.network.successors))
+        return self._only(lane, self.network.successors)
 
     def backward(self, lane: int) -> int:
         """The lane before one; `NO_LANE` unless it is one edge, and in view."""
-        return self._only(self.before(lane))
+        return self._only(lane, self.network.predecessors)
 
     def _beyond(self, lane: int, links: tuple[tuple[int, ...], ...]) -> list[int]:
         found, waiting = set[int](), list(links[lane])
@@ -102,7 +102,11 @@ class LaneEdges:
                 found.add(k)
         return sorted(found)
 
-    def _only(self, lanes: list[int]) -> int:
+    def _only(self, lane: int, links: tuple[tuple[int, ...], ...]) -> int:
+        lanes = self._beyond(lane, links)
+        if not lanes:  # it begins or ends beside others that go on
+            beside = self.network.lanes_of[self.network.edge_id[lane]]
+            lanes = sorted({k for other in beside for k in self._beyond(other, links)})
         edges = {self.network.edge_id[k] for k in lanes}
         return lanes[0] if len(edges) == 1 and edges <= self._edges_in_view else NO_LANE
 

@@ -13,15 +13,18 @@ from geoorbit_ros.cli.twin.replay import NetOption
 if TYPE_CHECKING:
     from geoorbit_ros.traffic.interval_clock import IntervalClock
 
+DatabaseArgument = Annotated[Path, typer.Argument(help="The recorder's SQLite file.")]
+DayOption = Annotated[
+    str | None,
+    typer.Option("--day", metavar="YYYY-MM-DD", help="Which day; default: the last one stored."),
+]
+
 
 def demand(
-    database: Annotated[Path, typer.Argument(help="The recorder's SQLite file.")],
+    database: DatabaseArgument,
     net: NetOption,
     out: Annotated[Path, typer.Option("--out", help="Folder for the files; new or empty.")],
-    day: Annotated[
-        str | None,
-        typer.Option(metavar="YYYY-MM-DD", help="Which day; default: the last one stored."),
-    ] = None,
+    day: DayOption = None,
     interval: Annotated[
         str, typer.Option("--interval", help="Length of intervals: 5min, 15min, 1h.")
     ] = "15min",

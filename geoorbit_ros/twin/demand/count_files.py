@@ -148,8 +148,8 @@ class _Places:
         first = np.array([at[way.counted[0]] for way in vehicles.ways], np.int64)[vehicles.way]
         kept = (interval >= 0) & (interval < len(found))
         cell = (interval[kept], first[kept])
-        np.add.at(found, (*cell, 0), 1.0 / np.maximum(vehicles.speed_mps[kept], 0.1))
-        np.add.at(found, (*cell, 1), 1.0)
+        np.add.at(found[:, :, 0], cell, 1.0 / np.maximum(vehicles.speed_mps[kept], 0.1))
+        np.add.at(found[:, :, 1], cell, 1.0)
         return found
 
     def of_edge(self, k: int, edge: str) -> dict[str, str]:
@@ -275,14 +275,8 @@ def _route_file(source: SumoCounts) -> Xml.Element:
     names, factors = type_names(network, vehicles), speed_factors(vehicles)
     for k, number in enumerate(vehicles.way.tolist()):
         way = vehicles.ways[number]
-        flow = Xml.SubElement(
-            root,
-            "flow",
-            id=f"v{k + 1}",
-            type=names[number],
-            speedFactor=f"{factors[k]:.3f}",
-            **departure(source.edges, way),
-        )
+        values = {"id": f"v{k + 1}", "type": names[number], "speedFactor": f"{factors[k]:.3f}"}
+        flow = Xml.SubElement(root, "flow", values | departure(source.edges, way))
         Xml.SubElement(flow, "route", edges=" ".join(way.edges))
     return root
 

@@ -60,22 +60,20 @@ def _flows(counts: SumoCounts) -> Xml.Element:
             # SUMO's flow lasts from its first vehicle to one gap after its last.
             flows.append((begin + shift, end + shift, vehicles, w))
         for start, stop, vehicles, w in sorted(flows):
-            Xml.SubElement(
-                root,
-                "flow",
-                id=f"flow{begin:.0f}_{w + 1}",
-                type=names[w],
-                route=f"route{routes.index(ways[w].edges) + 1}",
-                begin=f"{start:.2f}",
-                end=f"{stop:.2f}",
-                number=str(vehicles),
-                **departure(counts.edges, ways[w]),
-            )
+            values = {
+                "id": f"flow{begin:.0f}_{w + 1}",
+                "type": names[w],
+                "route": f"route{routes.index(ways[w].edges) + 1}",
+                "begin": f"{start:.2f}",
+                "end": f"{stop:.2f}",
+                "number": str(vehicles),
+            }
+            Xml.SubElement(root, "flow", values | departure(counts.edges, ways[w]))
     return root
 
 
 def _config(counts: SumoCounts) -> Xml.Element:
-    root, intervals = Xml.Element("configuration"), list(counts.intervals())
+    root, intervals = Xml.Element("sumoConfiguration"), list(counts.intervals())
     files = Xml.SubElement(root, "input")
     for name, value in (
         ("net-file", NETWORK),
