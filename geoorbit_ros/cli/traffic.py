@@ -101,8 +101,8 @@ def traffic(
     Into the folder go vehicles.csv (a row per vehicle and lane), intervals.csv (a row per interval,
     lane and class), movements.csv (from which lane to which), the same as Parquet, and
     lanes.geojson. Nobody draws a line: the lanes are those of [bold]geoorbit lanes[/bold].
-    With --map, OUT/sumo has counts with bounds, turns and detectors for SUMO's routeSampler and
-    flowrouter.
+    With --map, OUT/sumo has the traffic as a scenario that SUMO runs, and counts with bounds, turns
+    and detectors for its routeSampler and flowrouter.
 
     Example: [bold]geoorbit traffic --tracks tracks.csv --calibration calibration.csv
     --interval 5min --out traffic[/bold]
@@ -293,6 +293,7 @@ def _write_for_sumo(
     from geoorbit_ros.roadnet.network import load_network
     from geoorbit_ros.roadnet.network_file import is_network
     from geoorbit_ros.twin.demand.count_files import write_counts
+    from geoorbit_ros.twin.demand.day_scenario import write_scenario
     from geoorbit_ros.twin.demand.measured_demand import measure_demand
 
     folder.mkdir()
@@ -302,6 +303,7 @@ def _write_for_sumo(
         network = build_from_osm(road_map, folder, source.datum).network
     demand = measure_demand(recorded, network, clock)
     write_counts(folder, demand.counts)
+    write_scenario(folder, demand.counts)
     return demand.sentences()
 
 

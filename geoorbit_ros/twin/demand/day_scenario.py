@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 from xml.etree import ElementTree as Xml
 
-from geoorbit_ros.roadnet.network_file import parse_xml
+from geoorbit_ros.roadnet.network_file import read_unpacked
 from geoorbit_ros.twin.demand.count_files import SumoCounts
 from geoorbit_ros.twin.demand.vehicle_types import add_types, departure, type_names
 
@@ -33,10 +32,8 @@ def write_scenario(folder: Path, counts: SumoCounts) -> Path:
     fast as the vehicles of their class drove in it.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    if counts.network.path.suffix == ".gz":
-        parse_xml(counts.network.path).write(folder / NETWORK, encoding="utf-8")
-    else:
-        shutil.copyfile(counts.network.path, folder / NETWORK)
+    if counts.network.path != folder / NETWORK:  # as netconvert has built it there
+        (folder / NETWORK).write_bytes(read_unpacked(counts.network.path, "a SUMO network"))
     types = Xml.Element("additional")
     add_types(types, counts.network, counts.vehicles)
     _save(types, folder / TYPE_FILE)
