@@ -146,10 +146,10 @@ GROUND, SHARP = slice(8, 10), 10
 COLUMNS = 11
 
 
-def boxes_as_numbers(time_s: float, rows: NDArray[np.void]) -> Array:
-    """(N, 8) of a frame of `PIXEL_TRACK_DTYPE`: plain numbers are quicker to put together."""
+def boxes_as_numbers(time_s: Array, rows: NDArray[np.void]) -> Array:
+    """(N, 8) of `PIXEL_TRACK_DTYPE` rows at times (N,): plain numbers are quicker to handle."""
     names = ("track_id", "x", "y", "width", "height", "flags", "class_id")
-    return np.column_stack([np.full(len(rows), time_s), *(rows[name] for name in names)])
+    return np.column_stack([time_s, *(rows[name] for name in names)])
 
 
 def on_the_road(boxes: Array, homography: Homography) -> Array:
@@ -446,13 +446,19 @@ def _car_size(
     n = len(box)
     if not n:
         return None
-    size_m, size_cov = np.tile(MEAN_M[0], (n, 1)), np.tile(COVARIANCE[0], (n, 1, 1))
+    size_m, size_cov = np.tile(MEAN_M[0, :, None], n), np.tile(COVARIANCE[0, :, :, None], n)
     heading = np.arctan2(step[:, 1], step[:, 0])
     with np.errstate(all="ignore"):
         fit = fit_vehicles(
-            pose.projection, box[:, :2], box[:, 2:], heading, size_m, size_cov, np.ones(n, np.bool_)
+            pose.projection,
+            box[:, :2].T,
+            box[:, 2:].T,
+            heading,
+            size_m,
+            size_cov,
+            np.ones(n, np.bool_),
         )
-        ratio = np.log(box[:, 2:] / fit.side_px)
+        ratio = np.log(box[:, 2:] / fit.side_px.T)
     good = fit.good & np.isfinite(ratio).all(axis=1)
     at = np.flatnonzero(good)
     if not len(at):
