@@ -172,23 +172,25 @@ class BoxProjector:
         frame = np.arange(len(stamps)).repeat(frames.offset[1:] - frames.offset[:-1])
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             kept, truncated = self._usable_rows(frames.rows)
-            frame, certain = frame[kept], np.zeros(len(kept), dtype=bool)
-            found = np.empty(len(kept), dtype=TRACK_DTYPE)
+            frame, found = frame[kept], np.empty(0, dtype=TRACK_DTYPE)
             if len(kept):
                 waves = self._memory.enter(stamps[frame], frames.rows["track_id"][kept])
                 at, row = frame[waves.order], kept[waves.order]
-                rows, cut = frames.rows[row], truncated[row]
+                rows, cut = frames.rows.take(row), truncated[row]
                 boxes = self._boxes(rows, cut, time_s[at], sampled[at])
                 ground = self._filter.run(waves, boxes)
                 self._memory.leave(waves, self._stamp_ns)
                 sigma = self._sigma(boxes, ground)
-                found[waves.order] = _table(rows, cut, doubtful[at], sigma, ground)
-                certain[waves.order] = sigma <= self._max_sigma_m
-        self.counts.too_uncertain += int((~certain).sum())
-        self.counts.returned += int(certain.sum())
+                place = np.empty(len(kept), dtype=np.intp)
+                place[waves.order] = np.arange(len(kept))
+                place = place[sigma[place] <= self._max_sigma_m]
+                found = _table(rows, cut, doubtful[at], sigma, ground).take(place)
+                frame = at[place]
+        self.counts.too_uncertain += len(kept) - len(found)
+        self.counts.returned += len(found)
         offset = np.zeros_like(frames.offset)
-        np.bincount(frame[certain], minlength=len(stamps)).cumsum(out=offset[1:])
-        return Frames(stamps, offset, found[certain])
+        np.bincount(frame, minlength=len(stamps)).cumsum(out=offset[1:])
+        return Frames(stamps, offset, found)
 
     def _usable_rows(self, rows: NDArray[np.void]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
         """Which rows (M,) show the road, and which of all rows (N,) are truncated."""

@@ -12,6 +12,9 @@ from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.calibration.elementwise import total, worst_sigma
 from geoorbit_ros.calibration.robust import jacobian, transfer
 
+CHUNK = 2048
+"""Pixels whose errors are computed together. Chosen: more don't fit into a processor's cache."""
+
 
 @dataclass(frozen=True, slots=True)
 class ControlResidual:
@@ -74,8 +77,13 @@ class RoadPlane:
 
         This error is the same in every frame: it shifts all vehicles at a place together.
         """
-        shift = self.fit_shifts(pixel).transpose(1, 2, 0)
-        return total(shift[:, :, None] * shift[:, None]).transpose(2, 0, 1)
+        uv = np.asarray(pixel, dtype=np.float64).reshape(-1, 2)
+        covariance = np.empty((len(uv), 2, 2))
+        for first in range(0, len(uv), CHUNK):
+            shift = self.fit_shifts(uv[first : first + CHUNK]).transpose(1, 2, 0)
+            part = total(shift[:, :, None] * shift[:, None])
+            covariance[first : first + CHUNK] = part.transpose(2, 0, 1)
+        return covariance
 
     def fit_shifts(self, pixel: ArrayLike) -> NDArray[np.float64]:
         """(N, 8, 2) metres by which each independent 1-sigma error of the fit moves pixels (N, 2).

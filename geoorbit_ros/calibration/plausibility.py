@@ -42,7 +42,7 @@ SAMPLE_S = 0.1
 image's border (a car crosses it in 0.12 s at 38 m/s), shorter costs time."""
 MAX_ROWS = 8_000
 """Rows that are remembered, the latest: minutes of traffic. Chosen: more costs time and memory."""
-JUDGED_AGAIN = 0.25
+JUDGED_AGAIN = 0.5
 """Traffic is judged again when this share of its rows is new. Chosen: larger says it later, smaller
 costs time."""
 JUDGE_S = 2.0
@@ -218,10 +218,11 @@ def _vehicles_as_numbers(
     count = np.diff(frames.offset)[looked]
     frame = np.repeat(looked, count)
     begin = np.cumsum(count) - count
-    rows = frames.rows[frames.offset[frame] + np.arange(len(frame)) - np.repeat(begin, count)]
+    row = frames.offset[frame] + np.arange(len(frame)) - np.repeat(begin, count)
+    rows = frames.rows.take(row)
     use = (rows["flags"] & FLAG_PREDICTED) == 0
     use &= np.isin(rows["class_id"], VEHICLE_CLASSES)
     for name in ("x", "y", "width", "height"):
         use &= np.isfinite(rows[name])
-    boxes = boxes_as_numbers(frames.stamp_ns[frame[use]] / 1e9, rows[use])
+    boxes = boxes_as_numbers(frames.stamp_ns[frame[use]] / 1e9, rows.take(use.nonzero()[0]))
     return boxes, np.append(0, np.cumsum(use))[np.append(begin, len(frame))].tolist()

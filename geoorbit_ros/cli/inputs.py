@@ -339,7 +339,6 @@ def load_camera(
     """
     from geoorbit_ros.calibration.box_projector import BoxProjector
     from geoorbit_ros.cli.console import status
-    from geoorbit_ros.cli.images import first_view
     from geoorbit_ros.lanes.pipeline import note_other_classes
 
     source = _source(tracks, bag, calibration, out)
@@ -347,6 +346,8 @@ def load_camera(
     with status(f"reading {source}"):
         name, topic, frames, report = _boxes(source, bag is not None, camera_id, options)
         if image and not image_size:
+            from geoorbit_ros.cli.images import first_view
+
             height, width = first_view(image).shape[:2]
             seen = (width, height)
             if seen != report.image_size and _reach_within(frames, seen):
