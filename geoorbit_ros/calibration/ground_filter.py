@@ -15,7 +15,7 @@ from geoorbit_ros.calibration.elementwise import worst_sigma
 from geoorbit_ros.calibration.track_velocity import HEADING, follow
 from geoorbit_ros.calibration.track_velocity import ROWS as MOTION_ROWS
 from geoorbit_ros.calibration.track_waves import Waves
-from geoorbit_ros.calibration.vehicle_fit import fit_vehicles
+from geoorbit_ros.calibration.vehicle_fit import VehicleFit, fit_points, fit_vehicles
 from geoorbit_ros.calibration.vehicle_size import COV, DIM, learn_sizes, start_sizes
 from geoorbit_ros.calibration.vehicle_size import ROWS as SIZE_ROWS
 
@@ -100,6 +100,13 @@ class GroundRows:
             heading=np.empty(n),
         )
 
+    def put(self, row: Rows, fit: VehicleFit) -> None:
+        """Take the fit of some rows."""
+        self.xy[:, row], self.first_xy[:, row] = fit.xy, fit.first_xy
+        self.covariance[..., row], self.noise[row] = fit.covariance, worst_sigma(fit.noise)
+        self.side_px[:, row], self.side_slope[..., row] = fit.side_px, fit.side_slope
+        self.good[row] = fit.good
+
 
 class GroundFilter:
     """Takes rows wave by wave.
@@ -120,8 +127,8 @@ class GroundFilter:
         ground = GroundRows.empty(n)
         points = (~boxes.solid).nonzero()[0]
         if len(points):  # nothing is to be known of their tracks
-            unknown, nothing = np.full(len(points), np.nan), np.zeros((3, len(points)))
-            self._fit(points, boxes, unknown, nothing, np.zeros((3, 3, len(points))), ground)
+            centre, side = boxes.centre[:, points], boxes.side[:, points]
+            ground.put(points, fit_points(self._projection, centre, side))
         for start, stop in pairwise(waves.bounds):
             state, at = waves.state[:, : stop - start], slice(start, stop)
             self._wave(state, at, waves.fresh[at], boxes, ground)
@@ -139,8 +146,10 @@ class GroundFilter:
         if len(box):
             every = len(box) == len(fresh)
             track, row = (slice(None), at) if every else (box, at.start + box)
+            known = motion[HEADING, track], sizes[DIM, track]
             size_cov = sizes[COV].reshape(3, 3, -1)[:, :, track]
-            self._fit(row, boxes, motion[HEADING, track], sizes[DIM, track], size_cov, ground)
+            centre, side = boxes.centre[:, row], boxes.side[:, row]
+            ground.put(row, fit_vehicles(self._projection, centre, side, *known, size_cov))
         learnt = boxes.sampled[at].nonzero()[0]
         if len(learnt):
             row = at.start + learnt
@@ -157,17 +166,6 @@ class GroundFilter:
             )
             sizes[:, learnt] = of_these
         self._move(motion, at, boxes, ground)
-
-    def _fit(
-        self, row: Rows, boxes: Boxes, heading: Array, size: Array, size_cov: Array, to: GroundRows
-    ) -> None:
-        """Ground points of rows of tracks of which so much is known."""
-        centre, side, solid = boxes.centre[:, row], boxes.side[:, row], boxes.solid[row]
-        fit = fit_vehicles(self._projection, centre, side, heading, size, size_cov, solid)
-        to.xy[:, row], to.first_xy[:, row] = fit.xy, fit.first_xy
-        to.covariance[..., row], to.noise[row] = fit.covariance, worst_sigma(fit.noise)
-        to.side_px[:, row], to.side_slope[..., row] = fit.side_px, fit.side_slope
-        to.good[row] = fit.good
 
     def _move(self, motion: Array, at: slice, boxes: Boxes, ground: GroundRows) -> None:
         """Velocities and headings after the rows `at`.

@@ -457,7 +457,6 @@ def _car_size(
             heading,
             size_m,
             size_cov,
-            np.ones(n, np.bool_),
         )
         ratio = np.log(box[:, 2:] / fit.side_px.T)
     good = fit.good & np.isfinite(ratio).all(axis=1)

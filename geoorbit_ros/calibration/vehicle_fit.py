@@ -158,7 +158,6 @@ def fit_vehicles(
     heading: Array,
     size_m: Array,
     size_cov: Array,
-    solid: NDArray[np.bool_],
 ) -> VehicleFit:
     """Maximum a posteriori ground points, given what is known of each vehicle's size.
 
@@ -178,15 +177,13 @@ def fit_vehicles(
         heading: (M,) radians from east, NaN where unknown.
         size_m: (3, M) length, width, height.
         size_cov: (3, 3, M) covariance of `size_m`.
-        solid: (M,) False where the pixel already is the ground point.
     """
-    shaped = solid & ~np.isnan(heading)
+    shaped = ~np.isnan(heading)
     unit = vehicle_axes(projection, np.where(shaped, heading, 0.0))
     if not shaped.all():
         unit[:2, :, ~shaped] = 0.0
-        unit[:, :, ~solid] = 0.0
     axes = unit * size_m[:, None]
-    first, ahead = on_plane(projection, centre, np.where(solid, size_m[2] / 2, 0.0))
+    first, ahead = on_plane(projection, centre, size_m[2] / 2)
     uv, depth = corners(projection, first, axes)
     edge, with_position, with_size = edge_slopes(projection, uv, depth, unit)
 
@@ -202,6 +199,28 @@ def fit_vehicles(
     good &= np.isfinite(reached + covariance[0, 0] + covariance[1, 1])
     side_px, side_slope = edge[2:] - edge[:2], with_size[2:] - with_size[:2]
     found = VehicleFit(xy, first, noise, covariance, side_px, side_slope, good)
+    if not good.all():
+        _blank(found)
+    return found
+
+
+def fit_points(projection: Array, pixel: Array, side: Array) -> VehicleFit:
+    """Ground points of pixels that already show the road, as exact as the middle of a box.
+
+    Args:
+        projection: (3, 4) local metres to pixels.
+        pixel: (2, M).
+        side: (2, M) width and height of what was seen there, pixels; zero where it isn't known.
+    """
+    number = pixel.shape[1]
+    xy, depth = on_plane(projection, pixel, np.zeros(number))
+    slope = (projection[:2, :2, None] - pixel[:, None] * projection[2, :2, None]) / depth
+    by_pixel = inverse_2x2(slope).transpose(1, 0, 2)
+    variance = (EDGE_SIGMA_PX**2 + EDGE_SIGMA_RATIO**2 * side**2) / 2
+    noise = total((by_pixel * variance[:, None])[:, :, None] * by_pixel[:, None])
+    good = (depth > 0) & np.isfinite(noise[0, 0] + noise[1, 1])
+    nothing, no_slope = np.zeros((2, number)), np.zeros((2, 3, number))
+    found = VehicleFit(xy, xy, noise, noise, nothing, no_slope, good)
     if not good.all():
         _blank(found)
     return found
