@@ -89,8 +89,9 @@ def test_a_database_gives_the_same_bytes_as_the_tracks(
     )
     path = tmp_path / "tracks.db"
     with TrajectoryDatabase(path) as database:
-        for stamp_ns, table in read.ground_tracks():
-            database.append("pole_7", stamp_ns, table)
+        for block in read.ground_tracks():
+            for k, stamp_ns in enumerate(block.stamp_ns.tolist()):
+                database.append("pole_7", stamp_ns, block.frame(k))
         text = (found / "lanes.geojson").read_text(encoding="utf-8")
         database.append_lanes("pole_7", 0, text)
     out = tmp_path / "out"

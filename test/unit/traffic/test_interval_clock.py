@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from geoorbit_ros.core.errors import ParameterError
-from geoorbit_ros.core.tables import TRACK_DTYPE, Frames, frames_of
+from geoorbit_ros.core.tables import TRACK_DTYPE, Frames, join_frames
 from geoorbit_ros.traffic.interval_clock import NS, IntervalClock, ObservedTime, usual_gap_s
 
 LENGTHS = (1, 30, 300, 900, 3600, 7200, 21600, 86400)
@@ -101,7 +101,8 @@ def test_watched_time_is_the_same_however_frames_come_in(step: int) -> None:
 def frames_at(stamps_s: np.ndarray, empty: bool) -> Frames:
     rows = np.zeros(0 if empty else 1, TRACK_DTYPE)
     full = np.zeros(1, TRACK_DTYPE)
-    return frames_of([(int(s * NS), rows if k % 2 else full) for k, s in enumerate(stamps_s)])
+    tables = [(int(s * NS), rows if k % 2 else full) for k, s in enumerate(stamps_s)]
+    return join_frames(tables, TRACK_DTYPE)
 
 
 def test_a_file_of_vehicles_alone_takes_pauses_for_an_empty_road_unless_traffic_is_heavy() -> None:

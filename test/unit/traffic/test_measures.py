@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -48,7 +50,7 @@ def traffic(*parts: tuple[NDArray[np.void], NDArray[np.void]], observed: Observe
     return Traffic(passages, crossings, observed, LANES, SCHEMES["coco"])
 
 
-def row(table: NDArray[np.void], start_s: float, lane: int, category: int = -1) -> np.void:
+def row(table: NDArray[np.void], start_s: float, lane: int, category: int = -1) -> Any:
     chosen = (table["start_ns"] == round(start_s * NS)) & (table["lane_id"] == lane)
     (found,) = table[chosen & (table["category"] == category) & (table["station_id"] == 1)]
     return found

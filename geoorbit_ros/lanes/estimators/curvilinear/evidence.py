@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.core.tables import TRACK_DTYPE
+from geoorbit_ros.core.tables import TRACK_DTYPE, Frames
 from geoorbit_ros.lanes.estimators.curvilinear.grouped import changes, lengths
 from geoorbit_ros.lanes.estimators.curvilinear.track_rows import (
     TrackRows,
@@ -76,6 +76,11 @@ class Evidence:
         self._stamps.append(stamp_ns)
         self._chunks.append(rows.tobytes())
 
+    def add_block(self, frames: Frames) -> None:
+        """Take many frames; rows are copied."""
+        self._stamps += frames.stamp_ns.tolist()
+        self._chunks += frames.tables()
+
     def segments(self) -> tuple[TrajectorySegments, NDArray[np.float64]]:
         """All segments, finished ones first, and the weight (P,) of each by its age."""
         now_s = self.settle()
@@ -118,11 +123,8 @@ class Evidence:
 
     def settle(self) -> float:
         """Move tracks that have ended from rows to segments; return the time in seconds."""
-        news = bool(self._chunks)
-        rows = self._open.followed_by(self._fresh_rows())
+        rows = self._open.followed_by(self._fresh_rows()) if self._chunks else no_rows()
         now_s = (self._now_ns - (self._epoch_ns or 0)) * 1e-9
-        if not news:
-            return now_s
         if len(rows) == 0:
             return now_s
         order = order_by_track(rows.track)
