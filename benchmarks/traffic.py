@@ -262,9 +262,7 @@ def compared(
 def show(outcomes: Sequence[Outcome], console: Console) -> None:
     """One line per scene, and the means."""
     table = Table(title="Traffic in scenes")
-    headings = (
-        "vehicles|counted|off|off %|time s 95 %|km/h|km/h 95 %|in 1 sigma|p85 km/h|headway s|s"
-    )
+    headings = "vehicles|counted|off|off %|s 95 %|km/h|km/h 95 %|in 1 sigma|p85 km/h|headway s|s"
     for heading in ("scene", *headings.split("|")):
         table.add_column(heading, justify="left" if heading == "scene" else "right")
     for o in outcomes:
@@ -288,7 +286,7 @@ def show(outcomes: Sequence[Outcome], console: Console) -> None:
     headway = float(np.nanmean([o.headway_s for o in outcomes]))
     console.print(table)
     console.print(
-        f"All: {true} vehicles, lanes off by {off} ({100 * off / true:.2f} %; in the mean of scenes "
+        f"All: {true} vehicles, off by {off} ({100 * off / true:.2f} %; in the mean of scenes "
         f"{each:.2f} %); times {means[0]:.3f} s at 95 %; speeds {means[1]:.2f} km/h in the median, "
         f"{means[2]:.2f} at 95 %, {100 * means[3]:.0f} % within 1 sigma; p85 {means[4]:.2f} km/h; "
         f"headways {headway:.3f} s"
@@ -416,10 +414,8 @@ def camera_row(folder: Path, tracks: str) -> tuple[str, list[float]]:
 def real_cameras(folder: Path, tracks: str, console: Console) -> None:
     """One line per camera."""
     table = Table(title="Traffic at real gates")
-    for heading in (
-        "camera",
-        *["vehicles", "right lane", "scale", "km/h", "km/h 95 %", "in 1 sigma", "s"],
-    ):
+    headings = "vehicles|right lane|scale|km/h|km/h 95 %|in 1 sigma|s"
+    for heading in ("camera", *headings.split("|")):
         table.add_column(heading, justify="left" if heading == "camera" else "right")
     figures = []
     for path in sorted(p for p in folder.iterdir() if (p / "gates.csv").is_file()):
@@ -432,8 +428,8 @@ def real_cameras(folder: Path, tracks: str, console: Console) -> None:
     count, right = np.array(figures)[:, 0], np.array(figures)[:, 1]
     mean = np.array(figures).mean(axis=0)
     console.print(
-        f"All: {100 * float((count * right).sum() / count.sum()):.2f} % of {count.sum():.0f} in the "
-        f"right lane, {100 * right.min():.1f} % at worst; speeds {mean[3]:.2f} km/h in the median "
+        f"All: {100 * float((count * right).sum() / count.sum()):.2f} % of {count.sum():.0f} in "
+        f"the right lane, {100 * right.min():.1f} % at worst; speeds {mean[3]:.2f} km/h in the median "
         f"({max(row[3] for row in figures):.2f} at worst), {mean[4]:.2f} at 95 %"
     )
 
