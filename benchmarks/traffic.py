@@ -429,7 +429,7 @@ def real_cameras(folder: Path, tracks: str, console: Console) -> None:
     mean = np.array(figures).mean(axis=0)
     console.print(
         f"All: {100 * float((count * right).sum() / count.sum()):.2f} % of {count.sum():.0f} in "
-        f"the right lane, {100 * right.min():.1f} % at worst; speeds {mean[3]:.2f} km/h in the median "
+        f"the right lane, {100 * right.min():.1f} % at worst; speeds {mean[3]:.2f} km/h in median "
         f"({max(row[3] for row in figures):.2f} at worst), {mean[4]:.2f} at 95 %"
     )
 
