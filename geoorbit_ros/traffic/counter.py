@@ -26,9 +26,12 @@ OVERLAP_SHARE = 0.5
 known within a metre or two; less takes close followers in a queue for one vehicle."""
 CAR_LENGTH_M = 4.5
 """Length of a vehicle of which none is known. Chosen: a car's."""
-FORGET_NS = 60_000_000_000
-"""Crossings so long before the newest are forgotten. Chosen: a vehicle's second track is counted
-within a minute after the first, or was a stopped one."""
+FORGET_NS = 20_000_000_000
+"""Crossings so long before another are no hindrance to it. Chosen: in this time the slowest vehicle
+that counts has moved on by a lorry's half."""
+KEPT_NS = 600_000_000_000
+"""Crossings are remembered for so long: vehicles are counted when they are gone, so that those of a
+queue come later than who passed it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,8 +140,9 @@ class _OccupiedPlaces:
             lane = self._crossed.setdefault(int(row["lane_id"]), [])
             at_ns, speed = int(row["stamp_ns"]), float(row["speed_mps"])
             length_m = float(row["length_m"])
-            lane[:] = [other for other in lane if other[0] > at_ns - FORGET_NS]
-            if any(_overlap(at_ns, speed, length_m, *other) for other in lane):
+            lane[:] = [other for other in lane if other[0] > at_ns - KEPT_NS]
+            near = [other for other in lane if abs(other[0] - at_ns) < FORGET_NS]
+            if any(_overlap(at_ns, speed, length_m, *other) for other in near):
                 twice.append(int(row["vehicle_id"]))
             else:
                 lane.append((at_ns, speed, length_m))

@@ -49,6 +49,7 @@ class Fragment:
         first_ns: When it was first seen.
         last_ns: When it was last seen.
         key: Names it among all tracks: an id may come back.
+        pauses: Whether it was lost for long enough to be another's continuation meanwhile.
     """
 
     track_id: int
@@ -56,11 +57,14 @@ class Fragment:
     first_ns: int = field(init=False)
     last_ns: int = field(init=False)
     key: Key = field(init=False)
+    pauses: bool = field(init=False)
 
     def __post_init__(self) -> None:
         stamps = self.rows["stamp_ns"]
         self.first_ns, self.last_ns = int(stamps[0]), int(stamps[-1])
         self.key = self.track_id, self.first_ns
+        longest_ns = int(np.diff(stamps).max(initial=0))
+        self.pauses = longest_ns > LOOK_NS - OVERLAP_NS
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,6 +168,8 @@ class Links:
         begin: Motion | None = None
         best, least = None, MAX_SQUARE
         for fragment in near:
+            if fragment.last_ns > start_ns + OVERLAP_NS and not fragment.pauses:
+                continue  # it is still there
             if fragment.key in self._next:
                 continue
             end = self._end_of(fragment, start_ns)
