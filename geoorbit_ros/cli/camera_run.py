@@ -81,10 +81,10 @@ class WatchedMapper(LaneMapper):
 
     latest: LaneMap | None = None
 
-    def add_block(self, frames: Frames) -> list[LaneMap]:
-        """As `LaneMapper.add_block`."""
-        renewed = super().add_block(frames)
-        self.latest = renewed[-1] if renewed else self.latest
+    def add(self, stamp_ns: int, rows: NDArray[np.void]) -> LaneMap | None:
+        """As `LaneMapper.add`."""
+        renewed = super().add(stamp_ns, rows)
+        self.latest = renewed or self.latest
         return renewed
 
 
