@@ -267,7 +267,8 @@ def _table(
     out["vx"], out["vy"] = ground.velocity
     out["heading"], out["sigma"] = ground.heading, sigma
     out["length"], out["width"] = ground.size[:2]
-    out["flags"] = (rows["flags"] & FLAG_PREDICTED) | np.where(truncated, FLAG_TRUNCATED, 0)
+    out["flags"] = rows["flags"] & np.uint32(FLAG_PREDICTED | FLAG_GROUND_POINT)
+    out["flags"] |= np.where(truncated, np.uint32(FLAG_TRUNCATED), np.uint32(0))
     out["flags"] |= np.where(doubtful, np.uint32(FLAG_DOUBTFUL), np.uint32(0))
     for name in ("score", "class_id", "track_id"):
         out[name] = rows[name]

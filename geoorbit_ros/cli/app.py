@@ -23,6 +23,7 @@ from geoorbit_ros.cli.replay import demo, replay
 from geoorbit_ros.cli.report import report
 from geoorbit_ros.cli.status import status
 from geoorbit_ros.cli.track import track
+from geoorbit_ros.cli.traffic import traffic
 from geoorbit_ros.cli.train import evaluate, federation, train
 from geoorbit_ros.cli.up import app as fleet
 from geoorbit_ros.cli.up import up
@@ -73,6 +74,7 @@ _COMMANDS: dict[str, Callable[..., None]] = {
     "track": track,
     "score": score,
     "report": report,
+    "traffic": traffic,
     "train": train,
     "evaluate": evaluate,
     "export": export,

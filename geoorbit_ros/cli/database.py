@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -75,12 +74,13 @@ def export(
     --to 2026-06-01[/bold]
     """
     from geoorbit_ros.cli.console import format_size, make_progress, parse_time, say
+    from geoorbit_ros.cli.inputs import time_zone
     from geoorbit_ros.storage.database.export import export_tracks
     from geoorbit_ros.storage.database.reader import TrajectoryReader
 
     start_ns = None if start is None else parse_time(start, "option --from")
     end_ns = None if end is None else parse_time(end, "option --to")
-    zone = _zone(timezone)
+    zone = time_zone(timezone)
     with TrajectoryReader(database) as reader, make_progress() as progress:
         whole = start_ns is None and end_ns is None
         wanted = [c for c in reader.cameras() if not camera_id or c.camera_id in camera_id]
@@ -111,29 +111,3 @@ def _stored_maps(reader: TrajectoryReader, camera_id: str) -> LanesOverTime:
         lambda stamp_ns: reader.lane_maps(camera_id, stamp_ns, stamp_ns + 1)[0][1],
         f"{reader.path}, lane map of {camera_id}",
     )
-
-
-def _zone(given: str | None) -> str:
-    """IANA name of a time zone; by default that of this machine, UTC where it has none.
-
-    Raises:
-        ParameterError: No such zone.
-    """
-    from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
-
-    from geoorbit_ros.core.errors import ParameterError
-
-    if given is None:
-        link = os.environ.get("TZ") or str(Path("/etc/localtime").resolve())
-        name = link.lstrip(":").rpartition("zoneinfo/")[2]
-    else:
-        name = given
-    try:
-        ZoneInfo(name)
-    except (ZoneInfoNotFoundError, ValueError, OSError):
-        if given is None:
-            return "UTC"
-        raise ParameterError(
-            "option --timezone", f"'{given}'", "a name such as Europe/Berlin"
-        ) from None
-    return name

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -531,3 +532,27 @@ def parse_datum(text: str | None) -> Datum | None:
     if not (abs(latitude) <= 90 and abs(longitude) <= 180):
         raise ParameterError("option --datum", repr(text), "LATITUDE,LONGITUDE in degrees")
     return Datum(latitude, longitude)
+
+
+def time_zone(given: str | None) -> str:
+    """IANA name of a time zone; by default that of this machine, UTC where it has none.
+
+    Raises:
+        ParameterError: No such zone.
+    """
+    from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
+
+    if given is None:
+        link = os.environ.get("TZ") or str(Path("/etc/localtime").resolve())
+        name = link.lstrip(":").rpartition("zoneinfo/")[2]
+    else:
+        name = given
+    try:
+        ZoneInfo(name)
+    except (ZoneInfoNotFoundError, ValueError, OSError):
+        if given is None:
+            return "UTC"
+        raise ParameterError(
+            "option --timezone", f"'{given}'", "a name such as Europe/Berlin"
+        ) from None
+    return name

@@ -20,7 +20,8 @@ FLAG_PREDICTED = 1
 FLAG_TRUNCATED = 2
 """`flags` bit: the box touches the image border, its centre is not the vehicle's centre."""
 FLAG_GROUND_POINT = 4
-"""`flags` bit of `tracks_px`: the pixel is already on the ground (`w = h = 0` in a CSV)."""
+"""`flags` bit: the pixel is already on the ground (`w = h = 0` in a CSV), so that nothing shows the
+vehicle's size; a ground track has the usual one of its class."""
 FLAG_DOUBTFUL = 8
 """`flags` bit of `tracks`: something speaks against the calibration or the boxes; lanes made of
 such rows are not confirmed."""

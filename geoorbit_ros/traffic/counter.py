@@ -1,0 +1,167 @@
+"""From ground tracks to passages and crossings, on one lane map, as data comes in."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.calibration.plane import RoadPlane
+from geoorbit_ros.core.lanes import Lane
+from geoorbit_ros.core.tables import Frames
+from geoorbit_ros.traffic.lane_sequence import LaneMatcher, cut_at_oncoming
+from geoorbit_ros.traffic.motion_fit import VEHICLE_SCALE
+from geoorbit_ros.traffic.passages import find_passages
+from geoorbit_ros.traffic.records import CROSSING_DTYPE, NO_LANE, PASSAGE_DTYPE
+from geoorbit_ros.traffic.road_coordinates import RoadCoordinates
+from geoorbit_ros.traffic.stations import find_crossings, place_stations
+from geoorbit_ros.traffic.vehicle_paths import PathCollector, Paths
+
+Array = NDArray[np.float64]
+
+OVERLAP_SHARE = 0.5
+"""Share of their mean length by which two vehicles can't overlap. Chosen: lengths and places are
+known within a metre or two; less takes close followers in a queue for one vehicle."""
+CAR_LENGTH_M = 4.5
+"""Length of a vehicle of which none is known. Chosen: a car's."""
+FORGET_NS = 60_000_000_000
+"""Crossings so long before the newest are forgotten. Chosen: a vehicle's second track is counted
+within a minute after the first, or was a stopped one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Counted:
+    """Vehicles that are gone, in the order in which they were last seen.
+
+    Attributes:
+        passages: (P,) `PASSAGE_DTYPE`.
+        crossings: (C,) `CROSSING_DTYPE`.
+        vehicles: How many vehicles these are, those in no lane included.
+        in_no_lane: How many of them drove along no lane.
+    """
+
+    passages: NDArray[np.void]
+    crossings: NDArray[np.void]
+    vehicles: int
+    in_no_lane: int
+
+
+class TrafficCounter:
+    """Counts vehicles in the lanes of one map.
+
+    The map may be replaced (`use_lanes`); vehicles that are still in view are then counted on the
+    new one.
+
+    Args:
+        lanes: The lanes, in the tracks' frame; at least one.
+        plane: The calibration, for the error that is common to all speeds; None: it is exact.
+
+    Attributes:
+        vehicles: Vehicles so far that are gone.
+    """
+
+    def __init__(self, lanes: Sequence[Lane], plane: RoadPlane | None = None) -> None:
+        self._plane = plane
+        self._paths = PathCollector()
+        self._places = _OccupiedPlaces()
+        self.vehicles = 0
+        self.use_lanes(lanes)
+
+    def use_lanes(self, lanes: Sequence[Lane]) -> None:
+        """Count on these lanes from now on."""
+        roads = RoadCoordinates(lanes)
+        self.lanes = roads.lanes
+        self._matcher = LaneMatcher(roads)
+        self._lane_id = np.array([*(lane.lane_id for lane in lanes), NO_LANE], np.int64)
+        self.stations = place_stations(lanes)
+        self._scale_sigma = np.array([scale_sigma(lane, self._plane) for lane in lanes])
+
+    def add(self, frames: Frames) -> None:
+        """Take frames of `TRACK_DTYPE`, later than those before."""
+        self._paths.add(frames)
+
+    def take(self) -> Counted:
+        """Vehicles that have gone since the last call."""
+        return self._count(self._paths.take())
+
+    def finish(self) -> Counted:
+        """All vehicles that are left."""
+        return self._count(self._paths.finish())
+
+    def _count(self, paths: Paths) -> Counted:
+        if not len(paths):
+            return Counted(np.empty(0, PASSAGE_DTYPE), np.empty(0, CROSSING_DTYPE), 0, 0)
+        found = self._matcher.lanes_of(paths)
+        paths = cut_at_oncoming(paths, found)
+        passages = self._named(find_passages(paths, found))
+        crossings = self._named(find_crossings(paths, found, self.stations))
+        first_ns, last_ns = self._paths.observed_ns
+        inside = (crossings["stamp_ns"] >= first_ns) & (crossings["stamp_ns"] <= last_ns)
+        crossings = crossings[inside]
+        twice = self._places.seen_before(crossings)
+        crossings = crossings[~np.isin(crossings["vehicle_id"], twice)]
+        passages = passages[~np.isin(passages["vehicle_id"], twice)]
+        self.vehicles += len(paths)
+        seen = len(paths) - len(twice)
+        missing = seen - len(np.unique(passages["vehicle_id"]))
+        return Counted(passages, crossings, seen, missing)
+
+    def _named(self, table: NDArray[np.void]) -> NDArray[np.void]:
+        """Give vehicles and lanes their ids, and speeds the errors that places don't show."""
+        scale = np.hypot(self._scale_sigma[table["lane_id"]], VEHICLE_SCALE)
+        table["speed_sigma_mps"] = np.hypot(table["speed_sigma_mps"], scale * table["speed_mps"])
+        if "speed_scale_sigma" in (table.dtype.names or ()):
+            table["speed_scale_sigma"] = self._scale_sigma[table["lane_id"]]
+        table["vehicle_id"] += self.vehicles + 1
+        for name in {"lane_id", "from_lane", "to_lane"}.intersection(table.dtype.names or ()):
+            table[name] = self._lane_id[table[name]]
+        return table
+
+
+class _OccupiedPlaces:
+    """Where and when vehicles crossed the stations of late: no other can have been there."""
+
+    def __init__(self) -> None:
+        self._crossed: dict[int, list[tuple[int, float, float]]] = {}
+
+    def seen_before(self, crossings: NDArray[np.void]) -> NDArray[np.int64]:
+        """Ids of vehicles that are a second track of one that was counted already.
+
+        Two bodies that share half of their length are one vehicle with two ids. Of these the one
+        that is gone first counts.
+        """
+        twice = list[int]()
+        for row in crossings:
+            lane = self._crossed.setdefault(int(row["lane_id"]), [])
+            at_ns, speed = int(row["stamp_ns"]), float(row["speed_mps"])
+            length_m = float(row["length_m"])
+            lane[:] = [other for other in lane if other[0] > at_ns - FORGET_NS]
+            if any(_overlap(at_ns, speed, length_m, *other) for other in lane):
+                twice.append(int(row["vehicle_id"]))
+            else:
+                lane.append((at_ns, speed, length_m))
+        return np.unique(np.array(twice, np.int64))
+
+
+def _overlap(
+    at_ns: int, speed: float, length_m: float, other_ns: int, other_speed: float, other_m: float
+) -> bool:
+    """Whether two vehicles at one line would stand half in one another."""
+    distance_m = abs(at_ns - other_ns) * 1e-9 * min(speed, other_speed)
+    lengths = [m if np.isfinite(m) else CAR_LENGTH_M for m in (length_m, other_m)]
+    return distance_m < OVERLAP_SHARE * sum(lengths) / 2
+
+
+def scale_sigma(lane: Lane, plane: RoadPlane | None) -> float:
+    """1-sigma relative error of a lane's length: what the control points' errors leave."""
+    if plane is None:
+        return 0.0
+    ends = plane.to_pixel(lane.centerline_m[[0, -1]])
+    if not np.isfinite(ends).all():
+        return 0.0
+    shift = plane.fit_shifts(ends)
+    way = lane.centerline_m[-1] - lane.centerline_m[0]
+    length = float(np.hypot(*way))
+    return float(np.linalg.norm((shift[1] - shift[0]) @ (way / length)) / length)
