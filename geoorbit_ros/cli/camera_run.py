@@ -29,7 +29,7 @@ from geoorbit_ros.core.tables import (
     FLAG_PREDICTED,
     PIXEL_TRACK_DTYPE,
     Frames,
-    frames_of,
+    join_frames,
     one_class_each,
     one_frame,
 )
@@ -174,7 +174,7 @@ class CameraRun:
         """Frames of `TRACK_DTYPE` of the images of one view, already seen."""
         self.projector = BoxProjector(self.homography, self.image_size)
         seen = [(ns, tracks) for ns, _, tracks in self.seen if first_ns <= ns <= last_ns]
-        return project_blocks(frames_of(seen, PIXEL_TRACK_DTYPE), self.projector)
+        return project_blocks(join_frames(seen), self.projector)
 
     def settle_classes(self) -> None:
         """Give each track the one class that all of its images together say."""
@@ -189,7 +189,7 @@ class CameraRun:
         """Observed tracks, of images that have any: predictions have no place in `tracks.csv`."""
         kept = [(s, t[(t["flags"] & FLAG_PREDICTED) == 0]) for s, _, t in self.seen]
         some = [(stamp_ns, rows) for stamp_ns, rows in kept if len(rows)]
-        return frames_of(some, PIXEL_TRACK_DTYPE)
+        return join_frames(some)
 
     def _annotated(
         self, overlay: ImageOverlay, seen: TrackedImage, ground: NDArray[np.void]

@@ -130,21 +130,20 @@ def one_frame(stamp_ns: int, rows: NDArray[np.void]) -> Frames:
     return Frames(np.array([stamp_ns], dtype=np.int64), offset, rows)
 
 
+def join_frames(
+    frames: Sequence[tuple[int, NDArray[np.void]]], dtype: np.dtype[np.void] = PIXEL_TRACK_DTYPE
+) -> Frames:
+    """Frames of stamps, which increase, and their rows of a dtype."""
+    offset = np.cumsum([0, *(len(rows) for _, rows in frames)], dtype=np.int64)
+    rows = np.concatenate([np.empty(0, dtype), *(rows for _, rows in frames)])
+    return Frames(np.array([stamp_ns for stamp_ns, _ in frames], dtype=np.int64), offset, rows)
+
+
 def frames_from_rows(stamp_ns: NDArray[np.int64], rows: NDArray[np.void]) -> Frames:
     """Group rows by their stamp; `stamp_ns` (N,) may come in any order."""
     order = np.argsort(stamp_ns, kind="stable")
     stamps, start = np.unique(stamp_ns[order], return_index=True)
     return Frames(stamps, np.append(start, len(rows)).astype(np.int64), rows[order])
-
-
-def frames_of(
-    stamped: Sequence[tuple[int, NDArray[np.void]]], dtype: np.dtype[np.void] = TRACK_DTYPE
-) -> Frames:
-    """Frames of stamps and their rows, in time order; frames without rows included."""
-    offset = np.append(0, np.cumsum([len(rows) for _, rows in stamped])).astype(np.int64)
-    tables = [np.empty(0, dtype), *(rows for _, rows in stamped)]
-    stamps = np.array([stamp_ns for stamp_ns, _ in stamped], np.int64)
-    return Frames(stamps, offset, np.concatenate(tables))
 
 
 def one_class_each(rows: NDArray[np.void]) -> NDArray[np.int64]:

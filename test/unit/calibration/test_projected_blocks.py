@@ -22,7 +22,7 @@ from geoorbit_ros.core.tables import (
     PIXEL_TRACK_DTYPE,
     TRACK_DTYPE,
     Frames,
-    frames_of,
+    join_frames,
 )
 from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.lanes.mapping.mapper import LaneMapper
@@ -60,7 +60,7 @@ def random_frames(camera: Camera, seed: int) -> Frames:
         rows["score"] = random.random(len(rows))
         stamps.append(stamp_ns + int(random.integers(0, 10**7)))
         tables.append(rows[: 0 if random.random() < 0.05 else None])
-    return frames_of(list(zip(stamps, tables, strict=True)), PIXEL_TRACK_DTYPE)
+    return join_frames(list(zip(stamps, tables, strict=True)))
 
 
 def projector(camera: Camera, image: tuple[int, int] = (1920, 1080), **options: Any) -> Any:
@@ -101,7 +101,7 @@ def test_doubt_begins_at_the_same_frame() -> None:
     """The vehicles are ten times too fast, which is found after some seconds."""
     drives = [Drive((4.6, 1.8, 1.5), 2, (6.0, 30 - 250.0 * k), 90, 250.0, k) for k in range(40)]
     content = [(t, r) for t, r, _ in frames(CAMERAS["posed"], drives, np.arange(0, 40, 0.02))]
-    every = frames_of(content, PIXEL_TRACK_DTYPE)
+    every = join_frames(content)
     alone, together = projector(CAMERAS["posed"]), projector(CAMERAS["posed"])
     expected = np.concatenate([alone.project(*frame) for frame in content])
     doubtful = (expected["flags"] & FLAG_DOUBTFUL) != 0
@@ -137,9 +137,7 @@ def test_lanes_found_offline_are_those_of_single_frames() -> None:
     alone = projector(CAMERAS["posed"])
     live, offline = (LaneMapper(make_estimator("curvilinear")) for _ in range(2))
     lane_map = map_lanes(((t, alone.project(t, rows)) for t, rows in content), live)
-    blocks = project_blocks(
-        frames_of(content, PIXEL_TRACK_DTYPE), projector(CAMERAS["posed"]), block_rows=170
-    )
+    blocks = project_blocks(join_frames(content), projector(CAMERAS["posed"]), block_rows=170)
     assert lane_map.lanes
     assert pickle.dumps(map_blocks(blocks, offline)) == pickle.dumps(lane_map)
 
