@@ -55,6 +55,7 @@ LONG = [
     "plugins",
     "process_scene",
     "random_scene",
+    "projected_blocks",
     "real_cameras",
     "render_boxes",
     "render_image",
