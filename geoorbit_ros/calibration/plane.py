@@ -107,9 +107,9 @@ class RoadPlane:
             pixel: (N, 2).
             sigma_px: 1-sigma of each coordinate, (N,) or one number.
         """
-        j = self.jacobian(pixel)
-        noise = np.broadcast_to(np.asarray(sigma_px, dtype=np.float64) ** 2, (len(j),))
-        return noise[:, None, None] * (j @ np.swapaxes(j, 1, 2)) + self.fit_covariance(pixel)
+        j = np.ascontiguousarray(self.jacobian(pixel).transpose(2, 1, 0))
+        noise = np.asarray(sigma_px, dtype=np.float64) ** 2 * total(j[:, :, None] * j[:, None])
+        return np.asarray(noise.transpose(2, 0, 1) + self.fit_covariance(pixel))
 
     def sigma_m(self, pixel: ArrayLike, sigma_px: ArrayLike) -> NDArray[np.float64]:
         """1-sigma ground error (N,) along its worst direction; infinite above the horizon."""

@@ -81,10 +81,10 @@ class WatchedMapper(LaneMapper):
 
     latest: LaneMap | None = None
 
-    def add_block(self, frames: Frames) -> list[LaneMap]:
-        """As `LaneMapper.add_block`."""
-        renewed = super().add_block(frames)
-        self.latest = renewed[-1] if renewed else self.latest
+    def add(self, stamp_ns: int, rows: NDArray[np.void]) -> LaneMap | None:
+        """As `LaneMapper.add`."""
+        renewed = super().add(stamp_ns, rows)
+        self.latest = renewed or self.latest
         return renewed
 
 
@@ -188,7 +188,8 @@ class CameraRun:
     def track_frames(self) -> Frames:
         """Observed tracks, of images that have any: predictions have no place in `tracks.csv`."""
         kept = [(s, t[(t["flags"] & FLAG_PREDICTED) == 0]) for s, _, t in self.seen]
-        return join_frames([(stamp_ns, rows) for stamp_ns, rows in kept if len(rows)])
+        some = [(stamp_ns, rows) for stamp_ns, rows in kept if len(rows)]
+        return join_frames(some)
 
     def _annotated(
         self, overlay: ImageOverlay, seen: TrackedImage, ground: NDArray[np.void]

@@ -113,10 +113,11 @@ class Frames:
             yield self.part(first, last)
             first = last
 
-    def tables(self) -> list[bytes]:
-        """The bytes of each frame's rows."""
-        data, ends = self.rows.tobytes(), (self.offset * self.rows.itemsize).tolist()
-        return [data[begin:end] for begin, end in pairwise(ends)]
+    def tables(self) -> Iterator[tuple[int, NDArray[np.void]]]:
+        """Stamp and rows of each frame, views."""
+        bounds = pairwise(self.offset.tolist())
+        for stamp_ns, (begin, end) in zip(self.stamp_ns.tolist(), bounds, strict=True):
+            yield stamp_ns, self.rows[begin:end]
 
     def row_stamp_ns(self) -> NDArray[np.int64]:
         """(N,) stamp of each row."""

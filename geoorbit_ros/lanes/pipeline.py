@@ -79,8 +79,8 @@ def note_other_classes(report: InputReport, frames: Frames) -> None:
     )
 
 
-BLOCK_ROWS = 100_000
-"""Rows that are projected together at most: five minutes of a busy road. Chosen: more take more
+BLOCK_ROWS = 250_000
+"""Rows that are projected together at most: ten minutes of a busy road. Chosen: more take more
 memory (0.7 kB a row), fewer more time."""
 
 
@@ -112,8 +112,7 @@ def project_frames(frames: Frames, projector: GroundProjector) -> Iterator[Stamp
         Stamp and (M,) `TRACK_DTYPE`, frames without vehicles included.
     """
     for block in project_blocks(frames, projector):
-        for k, stamp_ns in enumerate(block.stamp_ns.tolist()):
-            yield stamp_ns, block.frame(k)
+        yield from block.tables()
 
 
 def map_lanes(tracks: Iterable[StampedRows], mapper: LaneMapper, place: str = "tracks") -> LaneMap:
@@ -134,7 +133,8 @@ def map_blocks(blocks: Iterable[Frames], mapper: LaneMapper, place: str = "track
     """
     frame_count, ids, classes = 0, set[int](), set[int]()
     for block in blocks:
-        mapper.add_block(block)
+        for stamp_ns, rows in block.tables():
+            mapper.add(stamp_ns, rows)
         frame_count += len(block)
         ids.update(block.rows["track_id"].tolist())
         classes.update(block.rows["class_id"].tolist())

@@ -1,4 +1,4 @@
-"""The protocol that every lane estimator satisfies, and three that it may satisfy."""
+"""The protocol that every lane estimator satisfies, and two that it may satisfy."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.core import plugins
 from geoorbit_ros.core.lanes import LaneMap
-from geoorbit_ros.core.tables import Frames
 from geoorbit_ros.lanes.estimators.curvilinear.trajectory_segments import TrajectorySegments
 from geoorbit_ros.lanes.estimators.result_check import ResultCheck
 from geoorbit_ros.lanes.parameters import LaneParameters
@@ -58,18 +57,6 @@ class SegmentSource(Protocol):
 
 
 @runtime_checkable
-class TakesBlocks(Protocol):
-    """An estimator that can be given many frames at once, which costs less time.
-
-    Others get them one by one. The lanes are the same.
-    """
-
-    def add_block(self, frames: Frames) -> None:
-        """Take frames of `TRACK_DTYPE`; stamps increase from call to call."""
-        ...
-
-
-@runtime_checkable
 class Restorable(Protocol):
     """An estimator that goes on where it was when its process is started again.
 
@@ -100,5 +87,5 @@ def make_estimator(name: str) -> LaneEstimator:
         name,
         LaneEstimator,  # type: ignore[type-abstract]
         returns=ResultCheck().returns(),
-        optional=(SegmentSource, TakesBlocks, Restorable),
+        optional=(SegmentSource, Restorable),
     )

@@ -17,7 +17,7 @@ from sklearn.cluster import KMeans
 
 from geoorbit_ros.core.lanes import CrossSection, Lane, LaneMap
 from geoorbit_ros.core.plugins import register
-from geoorbit_ros.core.tables import TRACK_DTYPE, Frames
+from geoorbit_ros.core.tables import TRACK_DTYPE
 from geoorbit_ros.lanes.parameters import LaneParameters
 
 BINS = 50
@@ -51,11 +51,6 @@ class GeoLaneEstimator:
         """Take one frame of `TRACK_DTYPE` rows; stamps increase from call to call."""
         self._stamps.append(stamp_ns)
         self._frames.append(rows.tobytes())
-
-    def add_block(self, frames: Frames) -> None:
-        """Take frames of `TRACK_DTYPE`; stamps increase from call to call."""
-        self._stamps += frames.stamp_ns.tolist()
-        self._frames += frames.tables()
 
     def lanes(self, parameters: LaneParameters) -> LaneMap:
         """Lanes of the observation period. Every lane is `confirmed`: the paper has no others."""

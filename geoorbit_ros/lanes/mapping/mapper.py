@@ -15,14 +15,9 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.core.lanes import LaneMap
-from geoorbit_ros.core.tables import FLAG_DOUBTFUL, Frames, one_frame
+from geoorbit_ros.core.tables import FLAG_DOUBTFUL
 from geoorbit_ros.lanes.confidence import SHOW, keep_confirmed, unconfirmed
-from geoorbit_ros.lanes.estimators.estimator import (
-    LaneEstimator,
-    Restorable,
-    State,
-    TakesBlocks,
-)
+from geoorbit_ros.lanes.estimators.estimator import LaneEstimator, Restorable, State
 from geoorbit_ros.lanes.mapping.lane_ids import LaneRegistry
 from geoorbit_ros.lanes.mapping.update_policy import UpdatePolicy
 from geoorbit_ros.lanes.parameters import LaneParameters
@@ -62,7 +57,6 @@ class LaneMapper:
         self._stamp_ns = 0
         self._ids = LaneRegistry()
         self._policy = UpdatePolicy(estimator)
-        self._blocks = estimator if isinstance(estimator, TakesBlocks) else None
         self._flags: NDArray[np.integer] = np.empty(0, np.int32)
 
     def add(self, stamp_ns: int, rows: NDArray[np.void]) -> LaneMap | None:
@@ -72,40 +66,17 @@ class LaneMapper:
             stamp_ns: Capture time, later than that of the call before.
             rows: (N,) `TRACK_DTYPE`.
         """
-        renewed = self.add_block(one_frame(stamp_ns, rows))
-        return renewed[0] if renewed else None
-
-    def add_block(self, frames: Frames) -> list[LaneMap]:
-        """Take many frames; the maps that were renewed on the way, the same as one by one.
-
-        Args:
-            frames: Frames of `TRACK_DTYPE`, later than those before.
-        """
-        stamps, first, renewed = frames.stamp_ns, 0, list[LaneMap]()
-        if self._due_ns is None and len(stamps):
-            self._due_ns = int(stamps[0]) + self._period_ns
-        while first < len(stamps):
-            assert self._due_ns is not None, "the first frame says when"
-            due = int(np.searchsorted(stamps, self._due_ns))
-            self._take(frames.part(first, min(due + 1, len(stamps))))
-            if due < len(stamps):
-                periods = (self._stamp_ns - self._due_ns) // self._period_ns + 1
-                self._due_ns += periods * self._period_ns
-                renewed.append(self.renew())
-            first = due + 1
-        return renewed
-
-    def _take(self, frames: Frames) -> None:
-        """Hand frames, at least one, to the estimator."""
-        if self._blocks is not None:
-            self._blocks.add_block(frames)
-        else:
-            for k, stamp_ns in enumerate(frames.stamp_ns.tolist()):
-                self.estimator.add(stamp_ns, frames.frame(k))
-        if len(frames.rows):
-            last = int(np.flatnonzero(frames.offset[1:] > frames.offset[:-1])[-1])
-            self._flags = frames.frame(last)["flags"]
-        self._stamp_ns = int(frames.stamp_ns[-1])
+        self.estimator.add(stamp_ns, rows)
+        if len(rows):
+            self._flags = rows["flags"]
+        self._stamp_ns = stamp_ns
+        if self._due_ns is None:
+            self._due_ns = stamp_ns + self._period_ns
+        if stamp_ns < self._due_ns:
+            return None
+        periods = (stamp_ns - self._due_ns) // self._period_ns + 1
+        self._due_ns += periods * self._period_ns
+        return self.renew()
 
     @property
     def doubtful(self) -> bool:

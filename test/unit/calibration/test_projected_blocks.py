@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from itertools import pairwise
 from typing import Any
 
@@ -21,8 +22,11 @@ from geoorbit_ros.core.tables import (
     PIXEL_TRACK_DTYPE,
     TRACK_DTYPE,
     Frames,
+    join_frames,
 )
-from geoorbit_ros.lanes.pipeline import project_blocks, project_frames
+from geoorbit_ros.lanes.estimators.estimator import make_estimator
+from geoorbit_ros.lanes.mapping.mapper import LaneMapper
+from geoorbit_ros.lanes.pipeline import map_blocks, map_lanes, project_blocks, project_frames
 
 CAMERAS = {"posed": Camera((0, 0, 11), 65, 15), "straight down": Camera((0, 0, 60), 90, 89.99)}
 TIMES = np.arange(0, 36, 0.1)
@@ -56,8 +60,7 @@ def random_frames(camera: Camera, seed: int) -> Frames:
         rows["score"] = random.random(len(rows))
         stamps.append(stamp_ns + int(random.integers(0, 10**7)))
         tables.append(rows[: 0 if random.random() < 0.05 else None])
-    offset = np.cumsum([0, *map(len, tables)], dtype=np.int64)
-    return Frames(np.array(stamps, np.int64), offset, np.concatenate(tables))
+    return join_frames(list(zip(stamps, tables, strict=True)))
 
 
 def projector(camera: Camera, image: tuple[int, int] = (1920, 1080), **options: Any) -> Any:
@@ -98,9 +101,7 @@ def test_doubt_begins_at_the_same_frame() -> None:
     """The vehicles are ten times too fast, which is found after some seconds."""
     drives = [Drive((4.6, 1.8, 1.5), 2, (6.0, 30 - 250.0 * k), 90, 250.0, k) for k in range(40)]
     content = [(t, r) for t, r, _ in frames(CAMERAS["posed"], drives, np.arange(0, 40, 0.02))]
-    offset = np.cumsum([0, *(len(rows) for _, rows in content)], dtype=np.int64)
-    rows = np.concatenate([rows for _, rows in content])
-    every = Frames(np.array([t for t, _ in content], np.int64), offset, rows)
+    every = join_frames(content)
     alone, together = projector(CAMERAS["posed"]), projector(CAMERAS["posed"])
     expected = np.concatenate([alone.project(*frame) for frame in content])
     doubtful = (expected["flags"] & FLAG_DOUBTFUL) != 0
@@ -122,6 +123,23 @@ def test_the_offline_way_cuts_blocks_and_keeps_every_frame() -> None:
     frame_by_frame = list(project_frames(content, projector(CAMERAS["posed"])))
     assert [stamp_ns for stamp_ns, _ in frame_by_frame] == content.stamp_ns.tolist()
     assert b"".join(rows.tobytes() for _, rows in frame_by_frame) == whole.rows.tobytes()
+
+
+def test_lanes_found_offline_are_those_of_single_frames() -> None:
+    ways = [(x, heading) for x in (3.0, 6.5, 12.0) for heading in (90, 270)]
+    drives = [
+        Drive(
+            (4.6, 1.8, 1.5), 2, (x, 40 - 3.0 * k * (25 if heading < 180 else -25)), heading, 25.0, k
+        )
+        for k, (x, heading) in enumerate(ways * 5)
+    ]
+    content = [(t, rows) for t, rows, _ in frames(CAMERAS["posed"], drives, np.arange(0, 80, 0.1))]
+    alone = projector(CAMERAS["posed"])
+    live, offline = (LaneMapper(make_estimator("curvilinear")) for _ in range(2))
+    lane_map = map_lanes(((t, alone.project(t, rows)) for t, rows in content), live)
+    blocks = project_blocks(join_frames(content), projector(CAMERAS["posed"]), block_rows=170)
+    assert lane_map.lanes
+    assert pickle.dumps(map_blocks(blocks, offline)) == pickle.dumps(lane_map)
 
 
 def test_an_id_twice_in_a_frame_is_one_track() -> None:

@@ -8,7 +8,7 @@ from made_lane_traffic import Stream, straight, traffic
 
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.core.lanes import LaneMap
-from geoorbit_ros.core.tables import FLAG_DOUBTFUL, UNKNOWN_CLASS, Frames
+from geoorbit_ros.core.tables import UNKNOWN_CLASS, Frames
 from geoorbit_ros.lanes.estimators.curvilinear.estimator import CurvilinearEstimator
 from geoorbit_ros.lanes.estimators.curvilinear.evidence import Evidence
 from geoorbit_ros.lanes.estimators.estimator import make_estimator
@@ -61,33 +61,6 @@ def test_lanes_keep_their_ids_while_others_appear() -> None:
     final = mapper.finish()
     assert len(final.confirmed) == 3
     assert len({lane.lane_id for lane in final.lanes}) == len(final.lanes)
-
-
-@pytest.mark.parametrize("estimator", ["curvilinear", "geolane"])
-@pytest.mark.parametrize("block_rows", [1, 40, 900, 10**6])
-def test_blocks_of_frames_give_the_maps_of_single_frames(estimator: str, block_rows: int) -> None:
-    """Lanes, ids and times, also of the maps on the way, and where frames are missing for long."""
-    frames = traffic([Stream(straight(0.3, k * LANE_M), 14) for k in range(2)], duration_s=50.0)
-    seconds = frames.stamp_ns // 10**9
-    stamps = frames.stamp_ns + np.where(seconds > 20, 13 * 10**9, 0)
-    frames = Frames(stamps, frames.offset, frames.rows)
-    frames.rows["flags"][frames.row_stamp_ns() > 25 * 10**9] |= FLAG_DOUBTFUL
-    alone, together = (LaneMapper(make_estimator(estimator), None, 3.0) for _ in range(2))
-    each = (alone.add(int(t), frames.frame(k)) for k, t in enumerate(frames.stamp_ns))
-    maps = [lane_map for lane_map in each if lane_map is not None]
-    assert len(maps) > 10
-    blocks = frames.blocks(block_rows)
-    in_blocks = [lane_map for block in blocks for lane_map in together.add_block(block)]
-    assert list(map(_bytes, in_blocks)) == list(map(_bytes, maps))
-    assert _bytes(together.finish()) == _bytes(alone.finish())
-
-
-def _bytes(lane_map: LaneMap) -> tuple[object, ...]:
-    lanes = [
-        (lane.lane_id, lane.status, lane.vehicles, lane.confidence, lane.centerline_m.tobytes())
-        for lane in lane_map.lanes
-    ]
-    return lane_map.stamp_ns, lane_map.segments, lanes
 
 
 def test_same_frames_give_the_same_bits() -> None:

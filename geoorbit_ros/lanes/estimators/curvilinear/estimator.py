@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.core.lanes import CrossSection, Lane, LaneMap
 from geoorbit_ros.core.plugins import register
-from geoorbit_ros.core.tables import Frames
 from geoorbit_ros.lanes.confidence import SHOW, assess
 from geoorbit_ros.lanes.estimators.curvilinear.candidates import (
     Candidate,
@@ -44,9 +43,8 @@ keeps early lines of few vehicles longer, smaller costs time at every derivation
 class CurvilinearEstimator:
     """`LaneEstimator` for any heading, bends, ramps, both directions and sparse lanes.
 
-    It is a `SegmentSource`, `Restorable` and `TakesBlocks`. Its reference lines are kept until a
-    tenth of the evidence is new, so a map may differ by centimetres with when maps were asked for
-    before.
+    It is a `SegmentSource` and `Restorable`. Its reference lines are kept until a tenth of the
+    evidence is new, so a map may differ by centimetres with when maps were asked for before.
     """
 
     def __init__(self) -> None:
@@ -60,11 +58,6 @@ class CurvilinearEstimator:
         """Take one frame of `TRACK_DTYPE` rows; stamps increase from call to call."""
         self._new_rows = True
         self._evidence.add(stamp_ns, rows)
-
-    def add_block(self, frames: Frames) -> None:
-        """Take frames of `TRACK_DTYPE`; stamps increase from call to call."""
-        self._new_rows = True
-        self._evidence.add_block(frames)
 
     def lanes(self, parameters: LaneParameters) -> LaneMap:
         """All lanes that the rows may show, weak ones too; see the module's text for the method.

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.core.tables import TRACK_DTYPE, Frames
+from geoorbit_ros.core.tables import TRACK_DTYPE
 from geoorbit_ros.lanes.estimators.curvilinear.grouped import changes, lengths
 from geoorbit_ros.lanes.estimators.curvilinear.track_rows import (
     TrackRows,
@@ -75,11 +75,6 @@ class Evidence:
         """Take one frame; rows are copied."""
         self._stamps.append(stamp_ns)
         self._chunks.append(rows.tobytes())
-
-    def add_block(self, frames: Frames) -> None:
-        """Take many frames; rows are copied."""
-        self._stamps += frames.stamp_ns.tolist()
-        self._chunks += frames.tables()
 
     def segments(self) -> tuple[TrajectorySegments, NDArray[np.float64]]:
         """All segments, finished ones first, and the weight (P,) of each by its age."""
