@@ -88,9 +88,10 @@ def traffic(
 ) -> None:
     """Count vehicles in their lanes: volumes, speeds, headways, movements.
 
-    Into the folder go vehicles.csv (a row per vehicle and lane), intervals.csv (a row per interval,
-    lane and class), movements.csv (from which lane to which), the same as Parquet, and
-    lanes.geojson. Nobody draws a line: the lanes are those of [bold]geoorbit lanes[/bold].
+    Into the folder go report.html (tables and pictures), vehicles.csv (a row per vehicle and lane),
+    intervals.csv (a row per interval, lane and class), movements.csv (from which lane to which),
+    the same as Parquet, and lanes.geojson. Nobody draws a line: the lanes are those of
+    [bold]geoorbit lanes[/bold].
 
     Example: [bold]geoorbit traffic --tracks tracks.csv --calibration calibration.csv
     --interval 5min --out traffic[/bold]
@@ -118,6 +119,7 @@ def traffic(
         folder.mkdir()
         recorded = source.count()
         _write(folder, source, recorded, scheme, clock)
+        _write_page(folder / "report.html", source, recorded, scheme, clock)
     _tell(source, recorded, scheme)
     print_remarks(*source.reports())
     _say_where(out, recorded, clock)
@@ -133,8 +135,10 @@ class TrafficSource:
         write_lanes: Writes them to a file.
         plane: The calibration, if it is known.
         blocks: The ground tracks.
+        frames_between: Those from one stamp to another, both included.
         max_gap_s: How long a pause between frames may be.
         reports: What is to be said about the input.
+        files: Names and values for the report: where tracks and lanes came from.
     """
 
     camera_id: str
@@ -142,8 +146,10 @@ class TrafficSource:
     write_lanes: Callable[[Path], None]
     plane: RoadPlane | None
     blocks: Callable[[], Iterator[Frames]]
+    frames_between: Callable[[int, int], Frames]
     max_gap_s: float
     reports: Callable[[], tuple[InputReport, ...]]
+    files: tuple[tuple[str, str], ...] = ()
 
     def count(self) -> Recorded:
         """Count all vehicles."""
@@ -185,8 +191,14 @@ def _of_camera(
         write,
         camera.homography,
         lambda: iter([frames_of(ground)]),
+        lambda first_ns, last_ns: frames_of([f for f in ground if first_ns <= f[0] <= last_ns]),
         usual_gap_s(camera.frames),
         camera.reports,
+        (
+            ("Tracks", camera.source.name),
+            ("Control points", camera.calibration.name),
+            ("Lanes", lanes.name if lanes else estimator),
+        ),
     )
 
 
@@ -198,7 +210,7 @@ def _of_database(
     Raises:
         GeoOrbitError: No such camera, several and none named, or no lanes.
     """
-    from geoorbit_ros.cli.console import read_lanes_aloud
+    from geoorbit_ros.cli.console import read_lanes_aloud, track
     from geoorbit_ros.cli.inputs import read_plane
     from geoorbit_ros.lanes.geojson import parse_lane_file, write_lanes
     from geoorbit_ros.storage.database.reader import TrajectoryReader
@@ -221,12 +233,19 @@ def _of_database(
 
     def blocks() -> Iterator[Frames]:
         with TrajectoryReader(database) as reader:
-            yield from reader.batches(name)
+            yield from track(reader.batches(name), "counting")
+
+    def frames_between(first_ns: int, last_ns: int) -> Frames:
+        with TrajectoryReader(database) as reader:
+            return reader.read(name, first_ns, last_ns + 1)
 
     def write(path: Path) -> None:
         write_lanes(path, file.lane_map, file.datum, camera_id=name, estimator=file.estimator)
 
-    return TrafficSource(name, file.lane_map, write, plane, blocks, GAP_S, lambda: ())
+    files = (("Tracks", database.name), ("Lanes", lanes.name if lanes else database.name))
+    return TrafficSource(
+        name, file.lane_map, write, plane, blocks, frames_between, GAP_S, lambda: (), files
+    )
 
 
 def _write(
@@ -257,6 +276,25 @@ def _write(
         write_csv(folder / f"{name}.csv", parts)
         write_parquet(folder / f"{name}.parquet", parts)
     source.write_lanes(folder / "lanes.geojson")
+
+
+def _write_page(
+    path: Path,
+    source: TrafficSource,
+    recorded: Recorded,
+    scheme: ClassScheme,
+    clock: IntervalClock,
+) -> None:
+    """The tables and pictures as one HTML page."""
+    from geoorbit_ros import __version__
+    from geoorbit_ros.cli.console import status
+    from geoorbit_ros.report.traffic.content import traffic_content
+    from geoorbit_ros.report.traffic.page import provenance_of, write_traffic_report
+
+    with status("drawing the report"):
+        content = traffic_content(source.camera_id, recorded, scheme, clock, source.frames_between)
+        made = [*source.files, *provenance_of(content), ("geoorbit", __version__)]
+        write_traffic_report(path, content, made, source.reports())
 
 
 def _tell(source: TrafficSource, recorded: Recorded, scheme: ClassScheme) -> None:

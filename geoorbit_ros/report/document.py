@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from html import escape
 from importlib.resources import files
+from pathlib import Path
+
+from geoorbit_ros.core.input_report import InputReport, Treatment
 
 
 def document(title: str, body: str) -> str:
@@ -33,3 +36,21 @@ def bullets(sentences: Sequence[str]) -> str:
     """A list, or nothing."""
     items = "".join(f"<li>{escape(x)}</li>" for x in sentences)
     return f"<ul>{items}</ul>" if items else ""
+
+
+def remarks_section(reports: Sequence[InputReport]) -> str:
+    """What was left out, repaired or is doubted; the doubts first. Nothing where all is well."""
+    told = [
+        (remark.treatment is Treatment.DOUBTFUL, f"{Path(report.place).name}: {sentence}")
+        for report in reports
+        for remark, sentence in zip(report.remarks, report.sentences(), strict=True)
+    ]
+    if not told:
+        return ""
+    items = "".join(
+        f"<li class='doubt'><b>Doubtful.</b> {escape(text)}</li>"
+        if doubt
+        else f"<li>{escape(text)}</li>"
+        for doubt, text in sorted(told, key=lambda pair: not pair[0])
+    )
+    return section("Remarks on the inputs", f"<ul>{items}</ul>")

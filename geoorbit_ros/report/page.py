@@ -13,10 +13,16 @@ from numpy.typing import NDArray
 from geoorbit_ros.calibration.camera_pose import recover_pose
 from geoorbit_ros.calibration.homography import Homography
 from geoorbit_ros.core.errors import CalibrationError
-from geoorbit_ros.core.input_report import InputReport, Treatment
+from geoorbit_ros.core.input_report import InputReport
 from geoorbit_ros.core.lanes import Lane, LaneMap
 from geoorbit_ros.metrics.score import score_lanes
-from geoorbit_ros.report.document import bullets, document, figure, section
+from geoorbit_ros.report.document import (
+    bullets,
+    document,
+    figure,
+    remarks_section,
+    section,
+)
 from geoorbit_ros.report.recording import Recording
 from geoorbit_ros.report.tables import (
     boundary_table,
@@ -33,6 +39,8 @@ from geoorbit_ros.report.text import (
     summary_sentence,
     tentative_sentences,
 )
+from geoorbit_ros.report.traffic.content import TrafficContent
+from geoorbit_ros.report.traffic.page import traffic_sections
 from geoorbit_ros.report.views import image_view, map_view, section_view
 
 LANE_NOTE = (
@@ -56,6 +64,7 @@ class ReportInput:
         truth: True lanes, when known.
         remarks: What was done with the inputs, and what speaks against them.
         image: (H, W, 3) uint8 BGR, the camera's view; None: not known.
+        traffic: What was counted in the lanes; None: there are no lanes.
     """
 
     camera_id: str
@@ -67,6 +76,7 @@ class ReportInput:
     truth: Sequence[Lane] | None = None
     remarks: Sequence[InputReport] = ()
     image: NDArray[np.uint8] | None = None
+    traffic: TrafficContent | None = None
 
 
 def write_report(path: Path, content: ReportInput) -> None:
@@ -82,11 +92,13 @@ def report_html(content: ReportInput) -> str:
     parts = [
         f"<header><p class='kicker'>Lane report</p><h1>{escape(title)}</h1>"
         f"<p class='lead'>{escape(summary_sentence(lanes))}</p>{_tiles(content)}</header>",
-        _remarks(content.remarks),
+        remarks_section(content.remarks),
         section("Lanes", lane_table(lanes) + bullets(tentative) + LANE_NOTE + _boundaries(lanes)),
         _drawings(content),
         _histograms(content),
     ]
+    if content.traffic is not None:
+        parts.append(f'<div class="traffic">{traffic_sections(content.traffic)}</div>')
     if content.truth is not None:
         score = score_lanes(lanes, content.truth)
         parts.append(
@@ -97,24 +109,6 @@ def report_html(content: ReportInput) -> str:
     parts.append(_calibration(content))
     parts.append(section("How this was made", facts(content.provenance)))
     return document(title, "".join(parts))
-
-
-def _remarks(reports: Sequence[InputReport]) -> str:
-    """What was left out, repaired or is doubted; the doubts first. Nothing where all is well."""
-    told = [
-        (remark.treatment is Treatment.DOUBTFUL, f"{Path(report.place).name}: {sentence}")
-        for report in reports
-        for remark, sentence in zip(report.remarks, report.sentences(), strict=True)
-    ]
-    if not told:
-        return ""
-    items = "".join(
-        f"<li class='doubt'><b>Doubtful.</b> {escape(text)}</li>"
-        if doubt
-        else f"<li>{escape(text)}</li>"
-        for doubt, text in sorted(told, key=lambda pair: not pair[0])
-    )
-    return section("Remarks on the inputs", f"<ul>{items}</ul>")
 
 
 def _boundaries(lanes: Sequence[Lane]) -> str:
