@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import platform
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from geoorbit_ros import __version__
 from geoorbit_ros.calibration.datum import Datum
-from geoorbit_ros.core.tables import FLAG_TRUNCATED, TRACK_DTYPE
+from geoorbit_ros.core.tables import FLAG_TRUNCATED, TRACK_DTYPE, Frames, frames_of
 
 MIN_STEP_M = 2.0
 """Between points of a drawn path. Chosen: nearer points don't change its shape, but make the page
@@ -51,6 +52,12 @@ class Recording:
             self._stamps.append(stamp_ns)
             self._rows.append(rows)
             yield stamp_ns, rows
+
+    def frames(self, first_ns: int | None = None, last_ns: int | None = None) -> Frames:
+        """The ground tracks, those from one stamp to another (both included) if they are given."""
+        low = 0 if first_ns is None else bisect_left(self._stamps, first_ns)
+        high = len(self._stamps) if last_ns is None else bisect_right(self._stamps, last_ns)
+        return frames_of(list(zip(self._stamps[low:high], self._rows[low:high], strict=True)))
 
     @property
     def duration_s(self) -> float:

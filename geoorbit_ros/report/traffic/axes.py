@@ -139,7 +139,7 @@ def draw_y_axis(canvas: Canvas, panel: Panel, ticks: Ticks, label: str) -> None:
         canvas.line(np.array([[panel.left, y], [panel.right, y]]), "grid")
         canvas.text(panel.left - 8, y + 4, text, "label", "end")
     if label:
-        canvas.text(panel.left - 44, panel.top - 9, label, "label")
+        canvas.text(panel.left - 44, panel.top - 12, label, "label")
 
 
 def draw_x_axis(

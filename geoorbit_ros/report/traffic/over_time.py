@@ -23,6 +23,7 @@ from geoorbit_ros.report.traffic.axes import (
 )
 from geoorbit_ros.report.traffic.content import TrafficContent
 from geoorbit_ros.traffic.interval_clock import NS
+from geoorbit_ros.traffic.measures import LEAST_WATCHED
 from geoorbit_ros.traffic.stations import Station
 
 Array = NDArray[np.float64]
@@ -42,9 +43,9 @@ def over_time(content: TrafficContent, station: Station) -> Canvas:
         "Two diagrams with a line per lane: vehicles per hour and kilometres per hour over time, "
         f"towards {compass(content.lane(content.lane_ids(station)[0]).heading_deg)}.",
     )
-    first_ns, last_ns = int(content.edges_ns[0]), int(content.edges_ns[-1])
+    first_ns, last_ns = content.span_ns
     ticks, clock_label = time_ticks(first_ns, last_ns, content.clock.zone)
-    span_s = (last_ns - first_ns) / NS
+    span_s = max((last_ns - first_ns) / NS, 1e-3)
     unwatched = unwatched_spans(
         content.traffic.observed, first_ns, last_ns, 1.5 * span_s / WIDTH_PX
     )
@@ -63,15 +64,25 @@ def over_time(content: TrafficContent, station: Station) -> Canvas:
         draw_unwatched(canvas, panel, unwatched, f"hatch-{column[:4]}-{station.station_id}")
         draw_y_axis(canvas, panel, value_ticks(*scale), label)
         draw_x_axis(canvas, panel, ticks, clock_label, written=row == 1)
-        _draw_lines(canvas, panel, lines, column, content.lane_css(), first_ns)
+        canvas.open_clip(
+            f"clip-{column[:4]}-{station.station_id}",
+            *(panel.left, panel.top - 2, panel.width, panel.height + 4),
+        )
+        points = {
+            k: panel.to_pixel(*_steps(rows, column, first_ns, span_s)) for k, rows in lines.items()
+        }
+        for lane_id, line in points.items():
+            canvas.line(line, f"series {content.lane_css()[lane_id]}", f"Lane {lane_id}")
+        canvas.close()
+        _draw_names(canvas, panel, points, content.lane_css())
     return canvas
 
 
 def _with_empty_steps(
     spans: list[tuple[float, float]], rows: NDArray[np.void], first_ns: int
 ) -> list[tuple[float, float]]:
-    """Also whole steps of which nothing is said, as too little of them was watched."""
-    unknown = rows[np.isnan(rows["flow_veh_per_h"])]
+    """Also whole steps of which next to nothing was watched."""
+    unknown = rows[rows["observed"] < LEAST_WATCHED]
     steps = [
         ((int(row["start_ns"]) - first_ns) / NS, (int(row["end_ns"]) - first_ns) / NS)
         for row in unknown
@@ -85,19 +96,10 @@ def _with_empty_steps(
     return merged
 
 
-def _draw_lines(
-    canvas: Canvas,
-    panel: Panel,
-    lines: dict[int, NDArray[np.void]],
-    column: str,
-    css: dict[int, str],
-    first_ns: int,
-) -> None:
-    """A step line per lane, and its name at the line's end."""
+def _draw_names(canvas: Canvas, panel: Panel, lines: dict[int, Array], css: dict[int, str]) -> None:
+    """The name of each lane at its line's end, clear of the others."""
     named = list[tuple[int, float]]()
-    for lane_id, rows in lines.items():
-        points = panel.to_pixel(*_steps(rows, column, first_ns))
-        canvas.line(points, f"series {css[lane_id]}", f"Lane {lane_id}")
+    for lane_id, points in lines.items():
         known = points[np.isfinite(points[:, 1]), 1]
         if len(known):
             named.append((lane_id, float(known[-1])))
@@ -108,9 +110,10 @@ def _draw_lines(
         canvas.text(x + 17, place + 4, f"lane {lane_id}", f"name {css[lane_id]}")
 
 
-def _steps(rows: NDArray[np.void], column: str, first_ns: int) -> tuple[Array, Array]:
+def _steps(
+    rows: NDArray[np.void], column: str, first_ns: int, span_s: float
+) -> tuple[Array, Array]:
     """Corners of a step line in seconds and values; interrupted where a value isn't known."""
-    begin = (rows["start_ns"] - first_ns) / NS
-    end = (rows["end_ns"] - first_ns) / NS
-    value = rows[column]
-    return np.column_stack((begin, end)).ravel(), np.repeat(value, 2)
+    begin = np.maximum((rows["start_ns"] - first_ns) / NS, 0.0)
+    end = np.minimum((rows["end_ns"] - first_ns) / NS, span_s)
+    return np.column_stack((begin, end)).ravel(), np.repeat(rows[column], 2)

@@ -18,6 +18,7 @@ from geoorbit_ros.report.traffic.speed_map import speed_map
 from geoorbit_ros.report.traffic.speed_scale import SpeedScale, speed_scale
 from geoorbit_ros.report.traffic.tables import (
     class_table,
+    classes_known,
     lane_table,
     movement_groups,
     movement_table,
@@ -33,6 +34,7 @@ from geoorbit_ros.report.traffic.text import (
 )
 from geoorbit_ros.report.traffic.time_space import time_space
 from geoorbit_ros.traffic.measures import FOLLOWING_S
+from geoorbit_ros.traffic.records import NO_LANE
 from geoorbit_ros.traffic.stations import Station
 
 
@@ -83,7 +85,7 @@ def traffic_sections(content: TrafficContent) -> str:
             ),
             section("Headways", _per_station(content, _headways)),
             section("From lane to lane", _movements(content)),
-            section("Classes of vehicles", _per_station(content, class_table)),
+            section("Classes of vehicles", _classes(content)),
         )
     )
 
@@ -151,15 +153,17 @@ def _map(content: TrafficContent, scale: SpeedScale) -> str:
 def _over_time(content: TrafficContent, station: Station) -> str:
     caption = (
         "Above, how many vehicles per hour crossed the station in each lane, and below their mean "
-        f"speed in km/h, in {step_text(content)}; hatched: not watched."
+        f"speed in km/h, {step_text(content)}; hatched: not watched. A line is interrupted where "
+        "no vehicle came whose speed could be measured, or too little was watched."
     )
     return figure(over_time(content, station).markup(), caption, "chart")
 
 
 def _speed_flow(content: TrafficContent, station: Station) -> str:
     caption = (
-        f"One mark per lane and step ({step_text(content)}): space mean speed in km/h over flow in "
-        "vehicles per hour; marks that fall to low speeds show congestion."
+        "Space mean speed in km/h over flow in vehicles per hour, one mark per lane for each "
+        f"{duration_text(content.step_clock.length_s)}; marks that fall to low speeds show "
+        "congestion."
     )
     return figure(speed_flow(content, station).markup(), caption, "chart")
 
@@ -191,3 +195,9 @@ def _movements(content: TrafficContent) -> str:
     )
     tables = "".join(movement_table(content, lanes) for lanes in movement_groups(content))
     return f'{tables}<p class="note">{escape(note)}</p>'
+
+
+def _classes(content: TrafficContent) -> str:
+    if not any(classes_known(content, s, NO_LANE) for s in content.stations):
+        return "<p>The tracks don't say of which class vehicles are.</p>"
+    return _per_station(content, class_table)

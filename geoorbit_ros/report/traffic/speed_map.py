@@ -49,7 +49,7 @@ def speed_map(content: TrafficContent, scale: SpeedScale) -> tuple[Canvas, MapFr
     draw_lane_numbers(canvas, content.lanes, frame.to_pixel, kinds, frame.inside, "plain")
     for station in content.stations:
         _draw_station(canvas, frame, content, station)
-    scale.draw_legend(canvas, 0.24 * frame.size_px[0], frame.size_px[1] - 14)
+    scale.draw_legend(canvas, 0.28 * frame.size_px[0], frame.size_px[1] - 14)
     draw_scale_bar(canvas, frame)
     draw_north(canvas, frame)
     return canvas, frame

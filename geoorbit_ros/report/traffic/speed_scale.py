@@ -19,6 +19,9 @@ USUAL_PERCENT = (3.0, 97.0)
 """Colours change between these percentiles of the speeds. Chosen: single vehicles leave the scale,
 all others use it."""
 
+STEADY_SHARE = 0.25
+"""Chosen: a vehicle at a bound keeps its colour; more shows changes late."""
+
 
 @dataclass(frozen=True, slots=True)
 class SpeedScale:
@@ -33,6 +36,20 @@ class SpeedScale:
     def class_of(self, speed_kmh: Array) -> NDArray[np.int64]:
         """(N,) number of the class of each speed."""
         return np.searchsorted(self.bound_kmh, speed_kmh, side="right").astype(np.int64)
+
+    def steady_class_of(self, speed_kmh: Array) -> NDArray[np.int64]:
+        """The same for the (N,) speeds of one vehicle in time order, without flicker.
+
+        The class stays until a speed is `STEADY_SHARE` of a class beyond its bounds.
+        """
+        bounds = np.concatenate(([-np.inf], self.bound_kmh, [np.inf]))
+        margin = STEADY_SHARE * float(np.diff(self.bound_kmh).min(initial=10.0))
+        classes = self.class_of(speed_kmh)
+        for k in range(1, len(classes)):
+            before = classes[k - 1]
+            if bounds[before] - margin <= speed_kmh[k] < bounds[before + 1] + margin:
+                classes[k] = before
+        return classes
 
     def css(self, number: int) -> str:
         """CSS class of a class of speed."""

@@ -23,7 +23,7 @@ def lane_table(content: TrafficContent, station: Station) -> str:
     numbers = lane_numbers(content.lanes)
     head = (
         *("Lane", "Lane no.", "Vehicles", "Flow, veh/h", "Mean speed, km/h", "85 %, km/h"),
-        *("Headway, s", "In platoon, %", "Heavy, %", "Share of lane, %"),
+        *("Headway, s", "In platoon, %", "Heavy, %", "Share of all, %"),
     )
     rows = list[tuple[str, list[str]]]()
     for lane_id in (*content.lane_ids(station), NO_LANE):
@@ -56,10 +56,15 @@ def with_error(value: float, sigma: float) -> str:
 def heavy_text(content: TrafficContent, station: Station, lane_id: int) -> str:
     """Share of heavy vehicles in percent; a dash where no vehicle's class is known."""
     row = content.whole_row(station, lane_id)
-    classes = category_rows(content, station, lane_id)
-    if classes.get(UNKNOWN, 0) == classes.get(ALL, 0):
+    if not classes_known(content, station, lane_id):
         return UNKNOWN_NUMBER
     return number(100.0 * row["heavy_share"], 0)
+
+
+def classes_known(content: TrafficContent, station: Station, lane_id: int) -> bool:
+    """Whether the class of any vehicle is known."""
+    classes = category_rows(content, station, lane_id)
+    return classes.get(UNKNOWN, 0) < classes.get(ALL, 0)
 
 
 def class_table(content: TrafficContent, station: Station) -> str:

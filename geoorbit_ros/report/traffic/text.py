@@ -94,11 +94,11 @@ def counting_notes(content: TrafficContent) -> list[str]:
 
 
 def step_text(content: TrafficContent) -> str:
-    """How long the steps of pictures are, and that the tables have others, if so."""
+    """How long the steps of pictures are, and that the files have others, if so."""
     step = duration_text(content.step_clock.length_s)
     if content.step_clock.length_s == content.clock.length_s:
-        return f"intervals of {step}"
-    return f"steps of {step} (the tables have intervals of {duration_text(content.clock.length_s)})"
+        return f"in intervals of {step}"
+    return f"in steps of {step} (the files: {duration_text(content.clock.length_s)})"
 
 
 def window_text(content: TrafficContent) -> str:

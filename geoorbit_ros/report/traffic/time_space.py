@@ -88,7 +88,7 @@ def _draw_tracks(
         if not len(rows):
             continue
         pixel = panel.to_pixel((rows["stamp_ns"] - first_ns) / NS, rows["arc_m"])
-        kind = scale.class_of(3.6 * rows["speed_mps"])
+        kind = scale.steady_class_of(3.6 * rows["speed_mps"])
         cuts = np.flatnonzero(np.diff(kind)) + 1
         for a, b in zip([0, *cuts.tolist()], [*cuts.tolist(), len(rows)], strict=True):
             line = _thin(pixel[max(a - 1, 0) : b])  # from the last place of the colour before
