@@ -301,6 +301,7 @@ def _tell(source: TrafficSource, recorded: Recorded, scheme: ClassScheme) -> Non
     """One row per lane for the whole recording."""
     from geoorbit_ros.cli.console import console, count_of, make_table, say
     from geoorbit_ros.report.text import number
+    from geoorbit_ros.report.traffic.tables import with_error
     from geoorbit_ros.traffic.count import whole_measures
 
     table = make_table(
@@ -315,8 +316,7 @@ def _tell(source: TrafficSource, recorded: Recorded, scheme: ClassScheme) -> Non
             "" if total else str(row["lane_number"]),
             str(row["volume"]),
             number(row["flow_veh_per_h"], 0),
-            f"{number(row['time_mean_speed_kmh'], 1)} "
-            f"± {number(row['time_mean_speed_sigma_kmh'], 1)}",
+            with_error(row["time_mean_speed_kmh"], row["time_mean_speed_sigma_kmh"]),
             number(row["speed_p85_kmh"], 1),
             number(row["headway_mean_s"], 1),
             number(100.0 * row["heavy_share"], 0),

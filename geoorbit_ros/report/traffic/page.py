@@ -37,6 +37,9 @@ from geoorbit_ros.traffic.measures import FOLLOWING_S
 from geoorbit_ros.traffic.records import NO_LANE
 from geoorbit_ros.traffic.stations import Station
 
+NO_VEHICLE = "No vehicle crossed it while the camera watched."
+"""In place of the pictures of a station."""
+
 
 def write_traffic_report(
     path: Path,
@@ -118,11 +121,13 @@ def _tiles(content: TrafficContent) -> str:
 
 
 def _per_station(content: TrafficContent, draw: Callable[[TrafficContent, Station], str]) -> str:
-    """A heading and what is drawn for each station."""
-    return "".join(
-        f"<h3>{escape(station_title(content, station))}</h3>{draw(content, station)}"
-        for station in content.stations
-    )
+    """A heading and what is drawn for each station; a sentence where no vehicle was counted."""
+    parts = list[str]()
+    for station in content.stations:
+        parts.append(f"<h3>{escape(station_title(content, station))}</h3>")
+        empty = not content.whole_row(station)["volume"] and draw is not lane_table
+        parts.append(f"<p>{NO_VEHICLE}</p>" if empty else draw(content, station))
+    return "".join(parts)
 
 
 def _notes(content: TrafficContent) -> str:
@@ -181,8 +186,8 @@ def _time_space(content: TrafficContent, station: Station, scale: SpeedScale) ->
 def _headways(content: TrafficContent, station: Station) -> str:
     caption = (
         "Share of vehicles, in percent, by the time in seconds from the vehicle before in the same "
-        f"lane; darker bars are below {FOLLOWING_S:g} s, where a vehicle counts as in a platoon, "
-        "and the last bar holds all longer times."
+        f"lane; bars in full colour are below {FOLLOWING_S:g} s, where a vehicle counts as in a "
+        "platoon, and the last bar holds all longer times."
     )
     return figure(headways(content, station).markup(), caption, "chart")
 

@@ -19,6 +19,8 @@ USUAL_PERCENT = (3.0, 97.0)
 """Colours change between these percentiles of the speeds. Chosen: single vehicles leave the scale,
 all others use it."""
 
+LEAST_SPAN_KMH = 20.0
+"""Colours stand for at least this range together. Chosen: less shows noise as differences."""
 STEADY_SHARE = 0.25
 """Chosen: a vehicle at a bound keeps its colour; more shows changes late."""
 
@@ -82,7 +84,7 @@ def speed_scale(speed_kmh: Array) -> SpeedScale:
     if not len(known):
         return SpeedScale(np.empty(0))
     low, high = np.percentile(known, USUAL_PERCENT)
-    step = nice_step(max(float(high - low), 5.0), COLOURS - 1)
+    step = nice_step(max(float(high - low), LEAST_SPAN_KMH), COLOURS - 1)
     bounds = np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step
     while len(bounds) > COLOURS - 1:
         step *= 2.0

@@ -26,18 +26,25 @@ def lane_table(content: TrafficContent, station: Station) -> str:
         *("Headway, s", "In platoon, %", "Heavy, %", "Share of all, %"),
     )
     rows = list[tuple[str, list[str]]]()
-    for lane_id in (*content.lane_ids(station), NO_LANE):
+    for lane_id in _with_total(content.lane_ids(station)):
         row = content.whole_row(station, lane_id)
         total = lane_id == NO_LANE
         cells = ["" if total else str(numbers[lane_id]), *_measures(row)]
         cells[-2] = heavy_text(content, station, lane_id)
         rows.append((_lane_name(content, lane_id), cells))
-    return grid(head, rows, last_is_total=True)
+    return grid(head, rows, last_is_total=len(rows) > 1)
+
+
+def _with_total(lane_ids: list[int]) -> list[int]:
+    """The lanes and all of them together, where there are several."""
+    return lane_ids if len(lane_ids) == 1 else [*lane_ids, NO_LANE]
 
 
 def _measures(row: np.void) -> list[str]:
+    sigma = float(row["volume_sigma"])
+    error = f" ± {number(sigma, 1 if sigma < 9.5 else 0)}" if sigma >= 0.05 else ""
     return [
-        f"{row['volume']:,} ± {number(row['volume_sigma'], 1 if row['volume_sigma'] < 9.5 else 0)}",
+        f"{row['volume']:,}{error}",
         f"{row['flow_veh_per_h']:,.0f}" if np.isfinite(row["flow_veh_per_h"]) else UNKNOWN_NUMBER,
         with_error(row["time_mean_speed_kmh"], row["time_mean_speed_sigma_kmh"]),
         number(row["speed_p85_kmh"], 1),
@@ -73,12 +80,12 @@ def class_table(content: TrafficContent, station: Station) -> str:
     total = category_rows(content, station, NO_LANE)
     names = [name for name in scheme.categories if total.get(name, 0)]
     rows = []
-    for lane_id in (*content.lane_ids(station), NO_LANE):
+    for lane_id in _with_total(content.lane_ids(station)):
         counted = category_rows(content, station, lane_id)
         cells = [_share(counted.get(name, 0), counted[ALL]) for name in names]
         rows.append((_lane_name(content, lane_id), [*cells, f"{counted[ALL]:,}"]))
     words = [name.replace("_", " ").capitalize() for name in names]
-    return grid(("Lane", *words, "All"), rows, last_is_total=True)
+    return grid(("Lane", *words, "All"), rows, last_is_total=len(rows) > 1)
 
 
 def movement_groups(content: TrafficContent) -> list[list[int]]:

@@ -52,13 +52,13 @@ def lead_sentences(content: TrafficContent) -> str:
     quiet = [f"{s.station_id} ({towards(s)})" for s in content.stations if s not in busy]
     if quiet:
         parts.append(f"No vehicle crossed station {', '.join(quiet)}.")
-    return " ".join(parts)
+    return " ".join(parts).replace(" %", "\u00a0%").replace(" km/h", "\u00a0km/h")
 
 
 def _station_sentence(content: TrafficContent, station: Station, *, first: bool) -> str:
     row = content.whole_row(station)
     vehicles = count(int(row["volume"]), "vehicle")
-    begin = f"In {duration_text(content.watched_s)} {vehicles} drove" if first else vehicles
+    begin = f"In {duration_text(content.watched_s)}, {vehicles} drove" if first else vehicles
     same_way = [s for s in content.stations if towards(s) == towards(station)]
     where = f" past station {station.station_id}" if len(same_way) > 1 else ""
     speed = with_error(row["time_mean_speed_kmh"], row["time_mean_speed_sigma_kmh"])
