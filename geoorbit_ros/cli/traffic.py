@@ -99,9 +99,10 @@ def traffic(
 ) -> None:
     """Count vehicles in their lanes: volumes, speeds, headways, movements.
 
-    Into the folder go vehicles.csv (a row per vehicle and lane), intervals.csv (a row per interval,
-    lane and class), movements.csv (from which lane to which), the same as Parquet, and
-    lanes.geojson. Nobody draws a line: the lanes are those of [bold]geoorbit lanes[/bold].
+    Into the folder go report.html (tables and pictures), vehicles.csv (a row per vehicle and lane),
+    intervals.csv (a row per interval, lane and class), movements.csv (from which lane to which),
+    the same as Parquet, and lanes.geojson. Nobody draws a line: the lanes are those of
+    [bold]geoorbit lanes[/bold].
 
     Example: [bold]geoorbit traffic --tracks tracks.csv --calibration calibration.csv
     --interval 5min --out traffic[/bold]
@@ -127,6 +128,7 @@ def traffic(
         folder.mkdir()
         recorded = source.count()
         _write(folder, source, recorded, scheme, clock)
+        _write_page(folder / "report.html", source, recorded, scheme, clock)
     _tell(source, recorded, scheme)
     _say_where(out, recorded, clock)
 
@@ -141,8 +143,10 @@ class TrafficSource:
         write_lanes: Writes them to a file.
         plane: The calibration, if it is known.
         blocks: The ground tracks.
+        frames_between: Those from one stamp to another, both included.
         max_gap_s: How long a pause between frames may be.
         reports: What is to be said about the input.
+        files: Names and values for the report: where tracks and lanes came from.
     """
 
     camera_id: str
@@ -150,8 +154,10 @@ class TrafficSource:
     write_lanes: Callable[[Path], None]
     plane: RoadPlane | None
     blocks: Callable[[], Iterator[Frames]]
+    frames_between: Callable[[int, int], Frames]
     max_gap_s: float
     reports: Callable[[], tuple[InputReport, ...]]
+    files: tuple[tuple[str, str], ...] = ()
 
     def count(self) -> Recorded:
         """Count all vehicles."""
@@ -172,6 +178,7 @@ def _of_camera(
 ) -> TrafficSource:
     """The traffic of a file of tracks or a bag."""
     from geoorbit_ros.cli.console import read_lanes_aloud
+    from geoorbit_ros.core.tables import frames_between
     from geoorbit_ros.lanes.geojson import write_lanes
     from geoorbit_ros.traffic.interval_clock import usual_gap_s
 
@@ -192,8 +199,14 @@ def _of_camera(
         write,
         camera.homography,
         lambda: iter(ground),
+        lambda first_ns, last_ns: frames_between(ground, first_ns, last_ns),
         usual_gap_s(camera.frames),
         camera.reports,
+        (
+            ("Tracks", camera.source.name),
+            ("Control points", camera.calibration.name),
+            ("Lanes", lanes.name if lanes else estimator),
+        ),
     )
 
 
@@ -205,7 +218,7 @@ def _of_database(
     Raises:
         GeoOrbitError: No such camera, several and none named, or no lanes.
     """
-    from geoorbit_ros.cli.console import read_lanes_aloud
+    from geoorbit_ros.cli.console import read_lanes_aloud, track
     from geoorbit_ros.cli.inputs import read_plane
     from geoorbit_ros.lanes.geojson import parse_lane_file, write_lanes
     from geoorbit_ros.storage.database.reader import TrajectoryReader
@@ -228,12 +241,19 @@ def _of_database(
 
     def blocks() -> Iterator[Frames]:
         with TrajectoryReader(database) as reader:
-            yield from reader.batches(name)
+            yield from track(reader.batches(name), "counting")
+
+    def frames_between(first_ns: int, last_ns: int) -> Frames:
+        with TrajectoryReader(database) as reader:
+            return reader.read(name, first_ns, last_ns + 1)
 
     def write(path: Path) -> None:
         write_lanes(path, file.lane_map, file.datum, camera_id=name, estimator=file.estimator)
 
-    return TrafficSource(name, file.lane_map, write, plane, blocks, GAP_S, lambda: ())
+    files = (("Tracks", database.name), ("Lanes", lanes.name if lanes else database.name))
+    return TrafficSource(
+        name, file.lane_map, write, plane, blocks, frames_between, GAP_S, lambda: (), files
+    )
 
 
 def _write(
@@ -266,10 +286,30 @@ def _write(
     source.write_lanes(folder / "lanes.geojson")
 
 
+def _write_page(
+    path: Path,
+    source: TrafficSource,
+    recorded: Recorded,
+    scheme: ClassScheme,
+    clock: IntervalClock,
+) -> None:
+    """The tables and pictures as one HTML page."""
+    from geoorbit_ros import __version__
+    from geoorbit_ros.cli.console import status
+    from geoorbit_ros.report.traffic.content import traffic_content
+    from geoorbit_ros.report.traffic.page import provenance_of, write_traffic_report
+
+    with status("drawing the report"):
+        content = traffic_content(source.camera_id, recorded, scheme, clock, source.frames_between)
+        made = [*source.files, *provenance_of(content), ("geoorbit", __version__)]
+        write_traffic_report(path, content, made, source.reports())
+
+
 def _tell(source: TrafficSource, recorded: Recorded, scheme: ClassScheme) -> None:
     """One row per lane for the whole recording."""
     from geoorbit_ros.cli.console import console, count_of, make_table, print_remarks, say
     from geoorbit_ros.report.text import number
+    from geoorbit_ros.report.traffic.tables import with_error
     from geoorbit_ros.traffic.count import whole_measures
 
     table = make_table(
@@ -284,8 +324,7 @@ def _tell(source: TrafficSource, recorded: Recorded, scheme: ClassScheme) -> Non
             "" if total else str(row["lane_number"]),
             str(row["volume"]),
             number(row["flow_veh_per_h"], 0),
-            f"{number(row['time_mean_speed_kmh'], 1)} "
-            f"± {number(row['time_mean_speed_sigma_kmh'], 1)}",
+            with_error(row["time_mean_speed_kmh"], row["time_mean_speed_sigma_kmh"]),
             number(row["speed_p85_kmh"], 1),
             number(row["headway_mean_s"], 1),
             number(100.0 * row["heavy_share"], 0),

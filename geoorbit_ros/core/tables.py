@@ -6,7 +6,7 @@ offline path and the node graph compute on identical bits.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -137,6 +137,29 @@ def join_frames(
     offset = np.cumsum([0, *(len(rows) for _, rows in frames)], dtype=np.int64)
     rows = np.concatenate([np.empty(0, dtype), *(rows for _, rows in frames)])
     return Frames(np.array([stamp_ns for stamp_ns, _ in frames], dtype=np.int64), offset, rows)
+
+
+def frames_between(
+    blocks: Iterable[Frames], first_ns: int | None = None, last_ns: int | None = None
+) -> Frames:
+    """Frames of `TRACK_DTYPE` from one stamp to another (both included), of blocks in time order.
+
+    Without a stamp, from the beginning or to the end.
+    """
+    parts = []
+    for block in blocks:
+        low = 0 if first_ns is None else int(np.searchsorted(block.stamp_ns, first_ns))
+        high = len(block)
+        if last_ns is not None:
+            high = int(np.searchsorted(block.stamp_ns, last_ns, side="right"))
+        if low < high:
+            parts.append(block.part(low, high))
+    counts = [np.diff(part.offset) for part in parts]
+    return Frames(
+        np.concatenate([np.empty(0, np.int64), *(part.stamp_ns for part in parts)]),
+        np.append(0, np.cumsum(np.concatenate([np.empty(0, np.int64), *counts]))),
+        np.concatenate([np.empty(0, TRACK_DTYPE), *(part.rows for part in parts)]),
+    )
 
 
 def frames_from_rows(stamp_ns: NDArray[np.int64], rows: NDArray[np.void]) -> Frames:

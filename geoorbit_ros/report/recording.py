@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from geoorbit_ros import __version__
 from geoorbit_ros.calibration.datum import Datum
-from geoorbit_ros.core.tables import FLAG_TRUNCATED, Frames
+from geoorbit_ros.core.tables import FLAG_TRUNCATED, Frames, frames_between
 
 MIN_STEP_M = 2.0
 """Between points of a drawn path. Chosen: nearer points don't change its shape, but make the page
@@ -48,6 +48,10 @@ class Recording:
             self.frame_count += len(block)
             self._blocks.append(block)
             yield block
+
+    def frames(self, first_ns: int | None = None, last_ns: int | None = None) -> Frames:
+        """The ground tracks, those from one stamp to another (both included) if they are given."""
+        return frames_between(self._blocks, first_ns, last_ns)
 
     @property
     def duration_s(self) -> float:

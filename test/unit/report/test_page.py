@@ -19,10 +19,10 @@ from geoorbit_ros.core.lanes import CrossSection, Lane, LaneMap
 from geoorbit_ros.core.polylines import offset_line
 from geoorbit_ros.core.tables import FLAG_TRUNCATED, TRACK_DTYPE, join_frames
 from geoorbit_ros.report.lane_drawing import direction_groups
+from geoorbit_ros.report.map_frame import fit_map_frame
 from geoorbit_ros.report.page import ReportInput, report_html
 from geoorbit_ros.report.recording import Recording, sha256
 from geoorbit_ros.report.svg import nice_step, path_data
-from geoorbit_ros.report.views import fit_map_frame
 
 VOID = {"meta", "link", "br", "img", "hr", "input"}
 
