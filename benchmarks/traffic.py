@@ -81,6 +81,7 @@ class Outcome:
         covered: Share of them within the stated 1 sigma.
         p85_kmh: Greatest error of a lane's 85th percentile of speeds.
         headway_s: Mean error of a lane's mean headway.
+        movements: Share of vehicles with the right lanes at the beginning and at the end.
         seconds: Processor time of counting.
     """
 
@@ -94,6 +95,7 @@ class Outcome:
     covered: float
     p85_kmh: float
     headway_s: float
+    movements: float
     seconds: float
 
 
@@ -137,6 +139,18 @@ class TruePaths:
                     speed = 3.6 * float(self.speed[k])
                     found.append(Truth(station.station_id, lane, float(when), speed))
         return found
+
+    def lane_of(self, time_s: float, place: Array, truth: Sequence[Lane]) -> int | None:
+        """True lane of the vehicle nearest to a place at a time; None: nobody, or no lane."""
+        best, lane = SAME_PLACE_M, None
+        for a, b in zip(self.offset[:-1].tolist(), self.offset[1:].tolist(), strict=True):
+            if self.time_s[a] <= time_s <= self.time_s[b - 1]:
+                k = min(a + int(np.searchsorted(self.time_s[a:b], time_s)), b - 1)
+                apart = float(np.hypot(*(self.place[k] - place)))
+                if apart < best:
+                    found = lane_ids_at(self.place[k : k + 1], self.heading[k : k + 1], truth)
+                    best, lane = apart, int(found[0]) or None
+        return lane
 
     def mean_speed_kmh(self, first_s: float, last_s: float, place: Array) -> float | None:
         """Of the vehicle that is at a place half-way through a time, over the time; None: none."""
@@ -196,7 +210,8 @@ def scene_outcome(duration_s: float, name: str) -> Outcome:
         if t.lane_id in lanes_of[station.station_id]
     ]
     speeds = passage_errors(counted.passages, lane_map.lanes, paths)
-    return compared(name, true, counted.crossings, same, speeds, seconds)
+    moved = movements_right(counted.passages, lane_map.lanes, same, paths, run.truth)
+    return compared(name, true, counted.crossings, same, speeds, (moved, seconds))
 
 
 def passage_errors(passages: NDArray[np.void], lanes: Sequence[Lane], paths: TruePaths) -> Array:
@@ -214,13 +229,41 @@ def passage_errors(passages: NDArray[np.void], lanes: Sequence[Lane], paths: Tru
     return np.array(errors)
 
 
+def movements_right(
+    passages: NDArray[np.void],
+    lanes: Sequence[Lane],
+    same: dict[int, int],
+    paths: TruePaths,
+    truth: Sequence[Lane],
+) -> float:
+    """Share of vehicles whose first and last lanes are those that they truly were in there."""
+    by_id = {lane.lane_id: lane for lane in lanes}
+    right = []
+    begin = np.flatnonzero(np.diff(passages["vehicle_id"], prepend=-1))
+    for a, b in zip(begin.tolist(), [*begin[1:].tolist(), len(passages)], strict=True):
+        ends = []
+        for row, stamp, arc in (
+            (passages[a], "first_ns", "first_arc_m"),
+            (passages[b - 1], "last_ns", "last_arc_m"),
+        ):
+            line = by_id[int(row["lane_id"])].centerline_m
+            along = np.append(0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T)))
+            place = np.array([np.interp(row[arc], along, line[:, k]) for k in (0, 1)])
+            true = paths.lane_of(row[stamp] / NS, place, truth)
+            if true is not None and same[int(row["lane_id"])]:
+                ends.append(true == same[int(row["lane_id"])])
+        if len(ends) == 2:
+            right.append(all(ends))
+    return float(np.mean(right))
+
+
 def compared(
     name: str,
     true: Sequence[Truth],
     crossings: NDArray[np.void],
     same: dict[int, int],
     speeds: Array,
-    seconds: float,
+    others: tuple[float, float],
 ) -> Outcome:
     """The figures of one scene."""
     wanted = Counter((t.station_id, t.lane_id) for t in true)
@@ -255,14 +298,16 @@ def compared(
         float((error <= speeds[:, 1]).mean()),
         max(p85, default=float("nan")),
         float(np.mean(headways)) if headways else float("nan"),
-        seconds,
+        *others,
     )
 
 
 def show(outcomes: Sequence[Outcome], console: Console) -> None:
     """One line per scene, and the means."""
     table = Table(title="Traffic in scenes")
-    headings = "vehicles|counted|off|off %|s 95 %|km/h|km/h 95 %|in 1 sigma|p85 km/h|headway s|s"
+    headings = (
+        "vehicles|counted|off|off %|s 95 %|km/h|km/h 95 %|in 1 sigma|p85 km/h|headway s|moves %|s"
+    )
     for heading in ("scene", *headings.split("|")):
         table.add_column(heading, justify="left" if heading == "scene" else "right")
     for o in outcomes:
@@ -275,6 +320,7 @@ def show(outcomes: Sequence[Outcome], console: Console) -> None:
             f"{100 * o.off / max(o.true, 1):.1f}",
             *(f"{x:.2f}" for x in figures),
             f"{o.headway_s:.3f}",
+            f"{100 * o.movements:.1f}",
             f"{o.seconds:.2f}",
         )
     true, off = sum(o.true for o in outcomes), sum(o.off for o in outcomes)
@@ -284,12 +330,13 @@ def show(outcomes: Sequence[Outcome], console: Console) -> None:
     ]
     each = float(np.mean([100 * o.off / o.true for o in outcomes if o.true]))
     headway = float(np.nanmean([o.headway_s for o in outcomes]))
+    moved = float(np.mean([o.movements for o in outcomes]))
     console.print(table)
     console.print(
         f"All: {true} vehicles, off by {off} ({100 * off / true:.2f} %; in the mean of scenes "
         f"{each:.2f} %); times {means[0]:.3f} s at 95 %; speeds {means[1]:.2f} km/h in the median, "
         f"{means[2]:.2f} at 95 %, {100 * means[3]:.0f} % within 1 sigma; p85 {means[4]:.2f} km/h; "
-        f"headways {headway:.3f} s"
+        f"headways {headway:.3f} s; movements {100 * moved:.1f} % right"
     )
 
 
