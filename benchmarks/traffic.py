@@ -52,6 +52,9 @@ SAME_TIME_S, SAME_PLACE_M = 1.0, 4.0
 SAME_LANE_M = 1.75
 BESIDE_M = 14.0
 """Vehicles farther from a station's middle cross another road."""
+INSIDE = 0.3
+"""Share of a passage, from either end, where its lane is held against the truth: nearer to the ends
+vehicles are beyond the stretch for which true lanes are known, or between two lanes."""
 GATE_S = 0.3
 """A track crosses the gate within this time of the gate's own, or is another vehicle."""
 ON_TO_GATE_S = 0.6
@@ -242,14 +245,13 @@ def movements_right(
     begin = np.flatnonzero(np.diff(passages["vehicle_id"], prepend=-1))
     for a, b in zip(begin.tolist(), [*begin[1:].tolist(), len(passages)], strict=True):
         ends = []
-        for row, stamp, arc in (
-            (passages[a], "first_ns", "first_arc_m"),
-            (passages[b - 1], "last_ns", "last_arc_m"),
-        ):
+        for row, share in ((passages[a], INSIDE), (passages[b - 1], 1.0 - INSIDE)):
             line = by_id[int(row["lane_id"])].centerline_m
             along = np.append(0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T)))
-            place = np.array([np.interp(row[arc], along, line[:, k]) for k in (0, 1)])
-            true = paths.lane_of(row[stamp] / NS, place, truth)
+            arc = row["first_arc_m"] + share * (row["last_arc_m"] - row["first_arc_m"])
+            place = np.array([np.interp(arc, along, line[:, k]) for k in (0, 1)])
+            when = row["first_ns"] + share * (row["last_ns"] - row["first_ns"])
+            true = paths.lane_of(when / NS, place, truth)
             if true is not None and same[int(row["lane_id"])]:
                 ends.append(true == same[int(row["lane_id"])])
         if len(ends) == 2:
