@@ -18,7 +18,7 @@ from geoorbit_ros.scenes.detector_model import DetectorModel, View, true_boxes
 from geoorbit_ros.scenes.moving_traffic import MovingTraffic
 from geoorbit_ros.scenes.roads import PlacedRoad, place_roads
 from geoorbit_ros.scenes.scene import Scene
-from geoorbit_ros.scenes.traffic import simulate_traffic
+from geoorbit_ros.scenes.traffic import TrafficRecord, simulate_traffic
 from geoorbit_ros.scenes.truth import TruthCounter, visible_lanes
 
 Progress = Callable[[str, float], None]
@@ -86,9 +86,20 @@ class SceneRun:
 
 
 def simulate(
-    scene: Scene, duration_s: float, seed: int, progress: Progress | None = None
+    scene: Scene,
+    duration_s: float,
+    seed: int,
+    progress: Progress | None = None,
+    traffic_record: TrafficRecord | None = None,
 ) -> SceneRun:
-    """Run a scene. The same scene, duration and seed give the same bits.
+    """Run a scene. The same scene, duration, seed and record give the same bits.
+
+    Args:
+        scene: The scene.
+        duration_s: How long it is watched.
+        seed: Of traffic, drivers, camera and detector.
+        progress: Told how far it is.
+        traffic_record: Traffic to watch in place of SUMO's (`scenes.traffic.simulate_traffic`).
 
     Raises:
         ParameterError: A duration or a seed out of range.
@@ -100,7 +111,7 @@ def simulate(
     placed = place_roads(scene)
     camera = scene_camera(scene, placed)
     report("traffic", 0.0)
-    record = simulate_traffic(scene, placed, duration_s, seed)
+    record = traffic_record or simulate_traffic(scene, placed, duration_s, seed)
     report("traffic", 1.0)
     traffic = MovingTraffic(record, scene, seed)
     lanes = visible_lanes(placed, camera)
