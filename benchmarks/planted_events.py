@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +22,7 @@ from geoorbit_ros.scenes.traffic import STEP_S, Halt, TrafficRecord, simulate_tr
 from geoorbit_ros.scenes.truth import VisibleLane, visible_lanes
 
 Array = NDArray[np.float64]
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 WHERE = 0.5
 """Vehicles halt at this share of the lane in view."""
@@ -168,7 +171,7 @@ def true_queue(record: TrafficRecord, lane: Lane) -> tuple[dict[int, float], flo
     order = np.flatnonzero(waits)
     steps = record.step[order]
     bounds = np.flatnonzero(np.diff(steps, prepend=-10, append=-10))
-    for a, b in zip(bounds[:-1], bounds[1:], strict=True):
+    for a, b in pairwise(bounds.tolist()):
         rows = order[a:b]
         half = 0.5 * record.vehicle_sizes[record.vehicle[rows], 0]
         arc = at.arc_m[rows]
@@ -193,42 +196,45 @@ def wrong_way(scene: Scene, seed: int) -> Planted:
         at = project(record.xy, lane.centerline_m)
         inside = at.inside & (np.abs(at.offset_m) < 1.0)
         inside &= (record.step > 900) & (record.step < 1400)
-        vehicles, count = np.unique(record.vehicle[inside], return_counts=True)
+        vehicles = np.unique(record.vehicle[inside])
         moved = [np.ptp(at.arc_m[inside & (record.vehicle == v)]) for v in vehicles.tolist()]
         good = np.flatnonzero(np.array(moved) > 0.9 * lane.length_m)
-        if len(good):
-            chosen = int(vehicles[random.choice(good)])
-            break
-    else:
-        return finish(scene, record, duration_s, seed, [], (np.nan, np.nan), (0.0, 0.0))
-    rows = np.flatnonzero(record.vehicle == chosen)
-    steps = record.step[rows]
-    seen = record.step[inside & (record.vehicle == chosen)]
-    middle = int((seen.min() + seen.max()) // 2)
-    back = 2 * middle - steps
-    rows, back = rows[(back >= 0)], back[back >= 0]
-    new = len(record.vehicle_types)
+        if not len(good):
+            continue
+        chosen = int(vehicles[random.choice(good)])
+        seen = record.step[inside & (record.vehicle == chosen)]
+        edited = backwards(record, chosen, int((seen.min() + seen.max()) // 2))
+        span = float(seen.min() * STEP_S) - 2.0, float(seen.max() * STEP_S) + 8.0
+        return finish(scene, edited, duration_s, seed, [lane.lane_id], (np.nan, np.nan), span)
+    return finish(scene, record, duration_s, seed, [], (np.nan, np.nan), (0.0, 0.0))
+
+
+def backwards(record: TrafficRecord, vehicle: int, middle: int) -> TrafficRecord:
+    """The record with one vehicle's path driven from its end to its beginning, about a step.
+
+    Somebody else drives it, and the first one isn't there: they would meet.
+    """
+    rows = np.flatnonzero(record.vehicle == vehicle)
+    back = 2 * middle - record.step[rows]
+    rows, back = rows[back >= 0], back[back >= 0]
     order = np.argsort(np.concatenate((record.step, back)), kind="stable")
 
-    def with_it(old: NDArray[np.generic], more: NDArray[np.generic]) -> NDArray[np.generic]:
+    def with_it(old: NDArray[Scalar], more: NDArray[Scalar]) -> NDArray[Scalar]:
         return np.concatenate((old, more))[order]
 
     other_way = (record.heading[rows] + 2 * np.pi) % (2 * np.pi) - np.pi
-    # Somebody else drives it: the first one isn't there, they would meet.
     edited = replace(
         record,
         step=with_it(record.step, back),
-        vehicle=with_it(record.vehicle, np.full(len(rows), new)),
+        vehicle=with_it(record.vehicle, np.full(len(rows), len(record.vehicle_types))),
         xy=with_it(record.xy, record.xy[rows]),
         heading=with_it(record.heading, other_way),
         speed=with_it(record.speed, record.speed[rows]),
         lane=with_it(record.lane, np.full(len(rows), -1)),
-        vehicle_types=[*record.vehicle_types, record.vehicle_types[chosen]],
-        vehicle_sizes=np.concatenate((record.vehicle_sizes, record.vehicle_sizes[chosen][None])),
+        vehicle_types=[*record.vehicle_types, record.vehicle_types[vehicle]],
+        vehicle_sizes=np.concatenate((record.vehicle_sizes, record.vehicle_sizes[vehicle][None])),
     )
-    edited = without(edited, edited.vehicle == chosen)
-    span = float(seen.min() * STEP_S) - 2.0, float(seen.max() * STEP_S) + 8.0
-    return finish(scene, edited, duration_s, seed, [lane.lane_id], (np.nan, np.nan), span)
+    return without(edited, edited.vehicle == vehicle)
 
 
 def without(record: TrafficRecord, rows: NDArray[np.bool_]) -> TrafficRecord:
@@ -241,24 +247,24 @@ def without(record: TrafficRecord, rows: NDArray[np.bool_]) -> TrafficRecord:
 
 
 def closed_lane(scene: Scene, seed: int) -> Planted:
-    """From 300 s on nobody drives in a lane that has others beside it."""
+    """From 240 s on nobody drives in a lane that has others beside it."""
     random = np.random.default_rng([seed, 24])
     placed, lanes = lanes_in_view(scene)
-    duration_s = 900.0
+    duration_s = 600.0
     record = simulate_traffic(scene, placed, duration_s, seed)
-    begin = round(300.0 / STEP_S)
+    begin = round(240.0 / STEP_S)
     options = [k for k in long_enough(lanes) if _has_beside(lanes, k)]
     for k in random.permutation(options).tolist():
         at = project(record.xy, lanes[k].lane.centerline_m)
         inside = at.inside & (np.abs(at.offset_m) < 0.5 * lanes[k].lane.width_m)
-        if len(np.unique(record.vehicle[inside & (record.step < begin)])) < 20:
-            continue  # too few to know the lane's share after five minutes
+        if len(np.unique(record.vehicle[inside & (record.step < begin)])) < 12:
+            continue  # too few to know the lane's share by then
         gone = np.unique(record.vehicle[inside & (record.step >= begin)])
         rows = np.isin(record.vehicle, gone) & (record.step >= begin)
         early = np.unique(record.vehicle[rows & inside & (record.step < begin + 50)])
         edited = without(record, rows & ~np.isin(record.vehicle, early))
         ids = [lanes[k].lane.lane_id]
-        return finish(scene, edited, duration_s, seed, ids, (np.nan, np.nan), (300.0, duration_s))
+        return finish(scene, edited, duration_s, seed, ids, (np.nan, np.nan), (240.0, duration_s))
     return finish(scene, record, duration_s, seed, [], (np.nan, np.nan), (0.0, 0.0))
 
 

@@ -205,8 +205,11 @@ class StandingWatch:
             before, now = track.recent[-2], track.last
             if not hypot(now.vx, now.vy) >= MOVES_MPS:
                 continue
+            moved = abs(now.x - before.x) + abs(now.y - before.y) + LANE_BESIDE_M
             for stand in self._stands:
-                if stand.lane < 0 or stand.holder is track:
+                if stand.lane < 0 or abs(stand.x - now.x) + abs(stand.y - now.y) > 2.0 * moved:
+                    continue
+                if stand.holder is track:
                     continue
                 a = along_and_left(stand.x, stand.y, stand.heading, before)
                 b = along_and_left(stand.x, stand.y, stand.heading, now)

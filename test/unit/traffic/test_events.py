@@ -187,10 +187,11 @@ def test_a_planted_event_and_no_other_is_told(
 def test_a_bent_and_shifted_road_has_the_same_events(
     plant: Callable[..., list[Vehicle]], kind: EventKind, until_s: float
 ) -> None:
-    paths = [
-        (lambda path: lambda s: path(s) + [300.0, -80.0])(arc(200.0, 2.0, offset))
-        for offset in (0.0, WIDTH_M)
-    ]
+    def bent(offset_m: float) -> Path:
+        curve = arc(200.0, 2.0, offset_m)
+        return lambda s: np.add(curve(s), [300.0, -80.0])
+
+    paths = [bent(0.0), bent(WIDTH_M)]
     there = watch(frames_of(plant(*paths), until_s), [lane(3, paths[0]), lane(5, paths[1])])
     here = watch(frames_of(plant(), until_s), LANES)
     assert kinds(there) == kinds(here) == [kind]
