@@ -246,6 +246,11 @@ def without(record: TrafficRecord, rows: NDArray[np.bool_]) -> TrafficRecord:
     return replace(record, **kept)
 
 
+ENOUGH = 36
+"""A lane is closed if so many came in the first four minutes: in the six after them as many more
+stay away as it takes to say so (`lane_flow.BY_CHANCE_S`)."""
+
+
 def closed_lane(scene: Scene, seed: int) -> Planted:
     """From 240 s on nobody drives in a lane that has others beside it."""
     random = np.random.default_rng([seed, 24])
@@ -257,8 +262,8 @@ def closed_lane(scene: Scene, seed: int) -> Planted:
     for k in random.permutation(options).tolist():
         at = project(record.xy, lanes[k].lane.centerline_m)
         inside = at.inside & (np.abs(at.offset_m) < 0.5 * lanes[k].lane.width_m)
-        if len(np.unique(record.vehicle[inside & (record.step < begin)])) < 12:
-            continue  # too few to know the lane's share by then
+        if len(np.unique(record.vehicle[inside & (record.step < begin)])) < ENOUGH:
+            continue
         gone = np.unique(record.vehicle[inside & (record.step >= begin)])
         rows = np.isin(record.vehicle, gone) & (record.step >= begin)
         early = np.unique(record.vehicle[rows & inside & (record.step < begin + 50)])

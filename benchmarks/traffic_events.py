@@ -189,6 +189,7 @@ def run_planted(first: int, runs: int, cache: Path | None) -> None:
             json.dumps(
                 {
                     "name": f"planted {kind}: share missed, of {due} in {len(results)} runs",
+                    "runs_without": sum(not result[0] for result in results),
                     "ratio": round(1.0 - found / max(due, 1), 4),
                     "limit": 0.05,
                     "delay_median_s": round(float(np.median(delays or [np.nan])), 1),

@@ -283,6 +283,16 @@ def test_only_who_drives_in_the_lane_for_metres_drives_the_wrong_way() -> None:
     assert not len(watch(frames_of(vehicles, 125.0), lanes))
 
 
+def test_on_a_narrow_road_that_leads_both_ways_nobody_drives_the_wrong_way() -> None:
+    """Those in the middle of it are nearer to the oncoming lane than to their own."""
+    other = straight(offset_m=2.0)
+    vehicles = [
+        *flow(RIGHT, 100, 0.0, 120.0, 5.0),
+        *flow(backwards(straight(offset_m=0.9)), 300, 40.0, 120.0, 10.0),
+    ]
+    assert not len(watch(frames_of(vehicles, 125.0), [LANES[0], lane(9, backwards(other))]))
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_ordinary_traffic_with_broken_tracks_has_no_events(seed: int) -> None:
     random = np.random.default_rng(seed)
