@@ -17,7 +17,7 @@ from geoorbit_ros.core.polylines import project
 from geoorbit_ros.core.tables import TRACK_DTYPE, Frames
 from geoorbit_ros.scenes.roads import PlacedRoad, place_roads
 from geoorbit_ros.scenes.scene import Scene
-from geoorbit_ros.scenes.simulate import SceneRun, scene_camera, simulate
+from geoorbit_ros.scenes.simulate import START_NS, SceneRun, scene_camera, simulate
 from geoorbit_ros.scenes.traffic import STEP_S, Halt, TrafficRecord, simulate_traffic
 from geoorbit_ros.scenes.truth import VisibleLane, visible_lanes
 
@@ -159,29 +159,34 @@ def queue(scene: Scene, seed: int) -> Planted:
             point = point_of(seen.lane, 0.75)
             halts.append(halt_at(placed, seen, point, 80.0, 100.0))
     record = simulate_traffic(scene, placed, duration_s, seed, halts)
-    ids = [seen.lane.lane_id for seen in lanes if true_queue(record, seen.lane)[1] >= 15.0]
-    return finish(scene, record, duration_s, seed, ids, (np.nan, np.nan), (60.0, 230.0))
+    planted = finish(scene, record, duration_s, seed, [], (np.nan, np.nan), (60.0, 230.0))
+    return replace(planted, lane_ids=queued_lanes(planted.run))
 
 
-def true_queue(record: TrafficRecord, lane: Lane) -> tuple[dict[int, float], float]:
-    """Tail along the lane by step, while three vehicles or more wait in view; for how long."""
-    at = project(record.xy, lane.centerline_m)
-    waits = at.inside & (np.abs(at.offset_m) < 1.2) & (record.speed < SLOW_MPS)
-    tails: dict[int, float] = {}
+def queued_lanes(run: SceneRun) -> tuple[int, ...]:
+    """Lanes in which the detector sees a queue for 15 s."""
+    return tuple(lane.lane_id for lane in run.truth if true_queue(run, lane)[1] >= 15.0)
+
+
+def true_queue(run: SceneRun, lane: Lane) -> tuple[dict[float, float], float]:
+    """Tail along the lane by time, while the detector sees three who wait; for how long."""
+    rows = run.clean.rows
+    place = np.column_stack((rows["x"], rows["y"])).astype(np.float64)
+    at = project(place, lane.centerline_m)
+    waits = at.inside & (np.abs(at.offset_m) < 1.2) & (np.hypot(rows["vx"], rows["vy"]) < SLOW_MPS)
     order = np.flatnonzero(waits)
-    steps = record.step[order]
-    bounds = np.flatnonzero(np.diff(steps, prepend=-10, append=-10))
+    stamps = run.clean.row_stamp_ns()[order]
+    bounds = np.flatnonzero(np.diff(stamps, prepend=-1, append=-1))
+    tails: dict[float, float] = {}
     for a, b in pairwise(bounds.tolist()):
-        rows = order[a:b]
-        half = 0.5 * record.vehicle_sizes[record.vehicle[rows], 0]
-        arc = at.arc_m[rows]
+        half, arc = 0.5 * rows["length"][order[a:b]], at.arc_m[order[a:b]]
         by_place = np.argsort(-arc)
         rear, front = (arc - half)[by_place], (arc + half)[by_place]
         joined = np.append(True, rear[:-1] - front[1:] < 12.0)
         count = len(arc) if joined.all() else int(np.argmin(joined))
         if count >= 3:
-            tails[int(steps[a])] = float(rear[count - 1])
-    return tails, len(tails) * STEP_S
+            tails[float(stamps[a] - START_NS) * 1e-9] = float(rear[count - 1])
+    return tails, len(tails) / run.scene.camera.fps
 
 
 def wrong_way(scene: Scene, seed: int) -> Planted:

@@ -128,11 +128,12 @@ def score_planted(kind: str, planted: Planted) -> tuple[int, int, list[float], l
         begin_s = planted.begin_s
         if kind == "queue":
             lane = next(k for k in planted.run.truth if k.lane_id == lane_id)
-            tails, _ = true_queue(planted.record, lane)
-            begin_s = _run_begin(np.array(list(tails)), stamp_s[first] / STEP_S) * STEP_S
-            tail = tails.get(round(stamp_s[first] / STEP_S))
-            if tail is not None:
-                errors.append(abs(tail - float(mine["arc_m"][first])))
+            tails, _ = true_queue(planted.run, lane)
+            times = np.array(list(tails))
+            begin_s = _run_begin(times, float(stamp_s[first]))
+            nearest = times[np.abs(times - stamp_s[first]).argmin()]
+            if abs(nearest - stamp_s[first]) < 0.5:
+                errors.append(abs(tails[nearest] - float(mine["arc_m"][first])))
         delays.append(float(stamp_s[first]) - begin_s)
     false = 0
     for k, row in enumerate(began):
@@ -146,11 +147,11 @@ def score_planted(kind: str, planted: Planted) -> tuple[int, int, list[float], l
     return len(planted.lane_ids), found, delays, errors, false
 
 
-def _run_begin(steps: NDArray[np.int64], at: float) -> float:
-    """The first of the steps in a row, with gaps of 4 s at most, that lead to a time."""
-    steps = steps[steps <= at]
-    breaks = np.flatnonzero(np.diff(steps) > 40)
-    return float(steps[breaks[-1] + 1 if len(breaks) else 0]) if len(steps) else float("nan")
+def _run_begin(times: NDArray[np.float64], at_s: float) -> float:
+    """The first of the times in a row, with gaps of 4 s at most, that lead to a time."""
+    times = times[times <= at_s]
+    breaks = np.flatnonzero(np.diff(times) > 4.0)
+    return float(times[breaks[-1] + 1 if len(breaks) else 0]) if len(times) else float("nan")
 
 
 def show(what: str, row: NDArray[np.void]) -> None:

@@ -97,7 +97,7 @@ def simulate(
     Args:
         scene: The scene.
         duration_s: How long it is watched.
-        seed: Of traffic, drivers, camera and detector.
+        seed: Of all chances.
         progress: Told how far it is.
         traffic_record: Traffic to watch in place of SUMO's (`scenes.traffic.simulate_traffic`).
 
@@ -107,8 +107,7 @@ def simulate(
     """
     check_range("duration", duration_s, MIN_DURATION_S, MAX_DURATION_S, "s")
     check_range("seed", seed, 0, MAX_SEED)
-    report = progress or (lambda _what, _share: None)
-    placed = place_roads(scene)
+    report, placed = progress or (lambda _what, _share: None), place_roads(scene)
     camera = scene_camera(scene, placed)
     report("traffic", 0.0)
     record = traffic_record or simulate_traffic(scene, placed, duration_s, seed)

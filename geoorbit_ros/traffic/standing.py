@@ -77,6 +77,7 @@ class Stand:
         unseen: Moments since it was last seen.
         through, beside, around: Who drove through it, beside it, and to the lane beside before it.
         drove_off: Its track went on.
+        crowd_ns: When others last waited before or beside it.
     """
 
     track_id: int
@@ -98,6 +99,7 @@ class Stand:
     beside: set[int] = field(default_factory=set)
     around: set[int] = field(default_factory=set)
     drove_off: bool = False
+    crowd_ns: int = 0
     event: NDArray[np.void] | None = None
 
 
@@ -251,17 +253,13 @@ class StandingWatch:
 
     def _needed_ns(self, stand: Stand, slow: list[WatchedTrack]) -> float | None:
         """How long a vehicle must stand there to have stopped; None: it waits in a queue."""
-        behind = jam = False
-        for track in slow:
-            if track is stand.holder or not self._same_way[stand.lane, track.last.lane]:
-                continue
-            along, _ = along_and_left(stand.x, stand.y, stand.heading, track.last)
-            if track.last.lane == stand.lane:
-                if STAND_M < along < AHEAD_M:
-                    return None
-                behind |= -AHEAD_M < along < -STAND_M
-            elif abs(along) < BESIDE_M:
-                jam = True
+        ahead, behind, jam = self._waiting_near(stand, slow)
+        if ahead or jam:
+            stand.crowd_ns = stand.last_ns
+        if ahead:
+            return None
+        # A jam that dissolves leaves its vehicles one after the other.
+        jam = jam or stand.last_ns - stand.crowd_ns < WAIT_NS
         free_ahead = self._length[stand.lane] - stand.arc >= AHEAD_M
         fast = self._usual_mps(stand.lane) >= FAST_MPS
         needed: float = WAIT_NS if fast else RED_NS
@@ -281,3 +279,17 @@ class StandingWatch:
         if len(waits) >= 2:
             needed = max(needed, USUAL_WAITS * max(waits))
         return needed
+
+    def _waiting_near(self, stand: Stand, slow: list[WatchedTrack]) -> tuple[bool, bool, bool]:
+        """Whether others wait before it, behind it, and in the lanes beside."""
+        ahead = behind = beside = False
+        for track in slow:
+            if track is stand.holder or not self._same_way[stand.lane, track.last.lane]:
+                continue
+            along, _ = along_and_left(stand.x, stand.y, stand.heading, track.last)
+            if track.last.lane == stand.lane:
+                ahead = ahead or STAND_M < along < AHEAD_M
+                behind = behind or -AHEAD_M < along < -STAND_M
+            else:
+                beside = beside or abs(along) < BESIDE_M
+        return ahead, behind, beside
