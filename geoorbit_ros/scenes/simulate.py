@@ -118,8 +118,7 @@ def simulate(
     model = DetectorModel(camera, scene.detector, seed)
     random = np.random.default_rng([seed, 3])
     stamps, noisy, clean, boxes = [], [], [], []
-    frame_count = int(duration_s * scene.camera.fps)
-    for k in range(frame_count):
+    for k in range(frame_count := int(duration_s * scene.camera.fps)):
         ideal_s = k / scene.camera.fps
         jitter = scene.detector.time_jitter_s * float(np.clip(random.standard_normal(), -3.0, 3.0))
         time_s = max(ideal_s + min(jitter, 0.3 / scene.camera.fps), 0.0)
