@@ -24,9 +24,12 @@ PACE_TICKS = 4
 DRIVEN_M, DRIVEN_SIGMAS = 8.0, 5.0
 """Who was seen to get this far from where its track began is a vehicle, and no sign or pole.
 Chosen: two lengths of a car, and more than errors of places make; less believes jitter."""
-LINK_M = 3.0
-"""A track that begins this near to the way on which one just ended goes on from it. Chosen: a car's
-place moves so far when its box is cut by another."""
+LINK_M, LINK_ACROSS_M = 3.0, 2.0
+"""A track that begins this near, along and across, to the way on which one just ended goes on from
+it. Chosen: a car's place moves so far when its box is cut by another."""
+LINK_MPS = 12.0
+"""What was faster when its track ended can't stand at once: braking with 8 m/s² it gets `DRIVEN_M`
+far in its new track, and needs nothing from the old one."""
 
 
 @dataclass(slots=True)
@@ -137,8 +140,11 @@ class WatchedTracks:
                 self.tracks[moment.track_id] = found
                 new.append(found)
             self.now.append(found)
-        for track in new:
-            self._go_on(track)
+        if new:
+            seen = {moment.track_id for moment in moments}
+            ended = [t for k, t in self.tracks.items() if k not in seen and t.is_vehicle]
+            for track in new:
+                _go_on(track, ended)
         for track, moment in zip(self.now, moments, strict=True):
             track.take(moment)
 
@@ -147,27 +153,27 @@ class WatchedTracks:
         for track in self.tracks.values():
             track.lanes.clear()
 
-    def _go_on(self, track: WatchedTrack) -> None:
-        """Let a new track inherit from one that ended where it may have come from."""
-        first = track.first
-        for other in self.tracks.values():
-            last = other.last
-            gap_s = (first.stamp_ns - last.stamp_ns) * 1e-9
-            if other is track or gap_s <= 0.0 or not other.is_vehicle:
-                continue
-            speed = hypot(last.vx, last.vy)
-            if not isfinite(speed):
-                continue
-            dx, dy = first.x - last.x, first.y - last.y
-            if speed > SLOW_MPS:
-                along = (dx * last.vx + dy * last.vy) / speed
-                across = abs(dy * last.vx - dx * last.vy) / speed
-            else:
-                along, across = 0.0, hypot(dx, dy)
-            if across <= LINK_M / 1.5 and -LINK_M <= along <= speed * gap_s + LINK_M:
+
+def _go_on(track: WatchedTrack, ended: list[WatchedTrack]) -> None:
+    """Let a new track inherit from those that ended where it may have come from."""
+    first = track.first
+    for other in ended:
+        last = other.last
+        gap_s = (first.stamp_ns - last.stamp_ns) * 1e-9
+        speed = hypot(last.vx, last.vy)
+        if not isfinite(speed):
+            continue
+        dx, dy = first.x - last.x, first.y - last.y
+        if speed > SLOW_MPS:
+            along = (dx * last.vx + dy * last.vy) / speed
+            across = abs(dy * last.vx - dx * last.vy) / speed
+        else:
+            along, across = 0.0, hypot(dx, dy)
+        if across <= LINK_ACROSS_M and -LINK_M <= along <= speed * gap_s + LINK_M:
+            if speed <= LINK_MPS:
                 track.inherited_m = max(track.inherited_m, other.driven_m)
-                for lane, arc in other.lanes.items():
-                    track.lanes.setdefault(lane, arc)
+            for lane, arc in other.lanes.items():
+                track.lanes.setdefault(lane, arc)
 
 
 def along_and_left(x: float, y: float, heading: float, moment: Moment) -> tuple[float, float]:
