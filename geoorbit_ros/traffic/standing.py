@@ -55,9 +55,11 @@ PASSED, PASSED_JAM = 3, 5
 AROUND = 3
 """Of a vehicle that was never seen to drive, so many must have changed lanes before it. Chosen:
 fewer may have changed anyway."""
-UNSEEN_TICKS = 20
-"""It is gone when it was not seen for ten seconds of watching. Chosen: lorries hide it for less;
-more reports its end late."""
+UNSEEN_TICKS = 60
+"""It is gone when it was not seen for 30 s of watching. Chosen: in dense traffic others hide it for
+20 s; more reports its end late."""
+LEFT_TICKS = 20
+"""Ten seconds, if its track was seen to go on. Chosen: ids of who passes are exchanged with it."""
 USUAL_PLACE_M = 12.0
 """Waits this near to each other are at the same place. Chosen: the first two of a queue."""
 
@@ -101,6 +103,11 @@ class Stand:
     drove_off: bool = False
     crowd_ns: int = 0
     event: NDArray[np.void] | None = None
+
+    @property
+    def is_over(self) -> bool:
+        """Whether it is gone."""
+        return self.unseen > (LEFT_TICKS if self.drove_off else UNSEEN_TICKS)
 
 
 class StandingWatch:
@@ -189,7 +196,7 @@ class StandingWatch:
     def _forget(self, stamp_ns: int) -> None:
         """Stands that are over; where somebody waited is remembered."""
         for stand in self._stands:
-            if stand.unseen <= UNSEEN_TICKS:
+            if not stand.is_over:
                 continue
             if stand.event is not None:
                 self._log.end(stand.event, stamp_ns, last_ns=stand.last_ns)
@@ -197,7 +204,7 @@ class StandingWatch:
                 waits = self._waits.setdefault(self._lanes[stand.lane].lane_id, [])
                 waits.append((stand.arc, stand.last_ns - stand.since_ns))
                 del waits[:-50]
-        self._stands = [stand for stand in self._stands if stand.unseen <= UNSEEN_TICKS]
+        self._stands = [stand for stand in self._stands if not stand.is_over]
 
     def _passes(self, watched: WatchedTracks) -> None:
         """Who drove past each stand since the half second before."""

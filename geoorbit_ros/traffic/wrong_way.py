@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.traffic.event_records import EventKind, EventLog
+from geoorbit_ros.traffic.lane_neighbours import same_way
 from geoorbit_ros.traffic.moments import MOVES_MPS, TICK_NS, Moment
 from geoorbit_ros.traffic.watched_tracks import FORGET_NS, SHARP_M, WatchedTrack
 
@@ -32,8 +33,9 @@ STEADY = 0.5
 """Its steps differ by at most this share of their mean. Chosen: a vehicle can't change its speed so
 much in half a second; who jumps from vehicle to vehicle does."""
 WITH_VEHICLES, AGAINST_SHARE = 5, 0.05
-"""At least so many vehicles drove along the lane before, and of all no more than this share against
-it: otherwise it leads both ways. Chosen: one in twenty would be one in a minute."""
+"""At least so many vehicles drove along the lane, or those beside it, before; and of those in it no
+more than this share against it: otherwise it leads both ways. Chosen: one in twenty would be one in
+a minute."""
 SHARE_MEMORY = 400.0
 """Vehicles after which what was seen of a lane counts half: an hour's traffic of a quiet lane."""
 
@@ -70,6 +72,7 @@ class WrongWayWatch:
     def use_lanes(self, lanes: Sequence[Lane]) -> None:
         """Look on these lanes from now on; what is known of a lane goes on under its id."""
         self._lanes = lanes
+        self._same_way = same_way(lanes)
         for way in self._ways.values():
             way.run.clear()
 
@@ -108,7 +111,10 @@ class WrongWayWatch:
             return
         along, against = self._counts.get(self._lanes[at.lane].lane_id, (0.0, 0.0))
         self._count(way, at)
-        if along < WITH_VEHICLES or against > AGAINST_SHARE * (along + against) + 1.0:
+        if (
+            self._along(at.lane) < WITH_VEHICLES
+            or against > AGAINST_SHARE * (along + against) + 1.0
+        ):
             return
         way.event = self._log.begin(
             EventKind.WRONG_WAY,
@@ -124,6 +130,11 @@ class WrongWayWatch:
             length_m=against_m,
             speed_mps=against_m / ((at.stamp_ns - first.stamp_ns) * 1e-9),
         )
+
+    def _along(self, lane: int) -> float:
+        """How many drove along a lane and those beside it."""
+        ids = [self._lanes[k].lane_id for k in np.flatnonzero(self._same_way[lane]).tolist()]
+        return sum(self._counts[lane_id][0] for lane_id in ids if lane_id in self._counts)
 
     def _count(self, way: _Way, at: Moment) -> None:
         """Count a track once for each lane and way."""
