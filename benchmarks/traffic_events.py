@@ -39,6 +39,8 @@ KINDS = {
     "lane_unused": EventKind.LANE_UNUSED,
 }
 PLACE_M = 8.0
+PIECE_S = 600.0
+"""Ordinary traffic is watched in pieces of ten minutes, each with another scene or seed."""
 
 
 def scene_of(number: int) -> Scene:
@@ -210,10 +212,10 @@ def run_ordinary(first: int, hours: float) -> None:
     while watched_s < hours * 3600.0:
         scene, seed = scene_of(number), 1000 + number
         placed, _ = lanes_in_view(scene)
-        record = simulate_traffic(scene, placed, 1800.0, seed)
-        run = simulate(scene, 1800.0, seed, traffic_record=record)
+        record = simulate_traffic(scene, placed, PIECE_S, seed)
+        run = simulate(scene, PIECE_S, seed, traffic_record=record)
         rows = watch(ground_tracks(run), run.truth)
-        watched_s += 1800.0
+        watched_s += PIECE_S
         for row in rows[rows["state"] == EventState.BEGAN]:
             good = is_real(row, record, run.truth)
             real, false = real + good, false + (not good)
