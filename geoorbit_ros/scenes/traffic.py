@@ -39,6 +39,8 @@ MOST_LORRIES = 0.8
 """Largest share of them in a lane. Chosen: more leaves no car between them."""
 BRAKING_MPS2 = 3.0
 """Who is to stop brakes no harder. Chosen: less than the 4.5 m/s² that SUMO's drivers can."""
+ROOM_M = 30.0
+"""Nearer to the beginning of its road than this, nobody brakes on it. Chosen: from 50 km/h."""
 TIME_LIMIT_S = 900.0
 """SUMO is ended after this. Chosen: longer hides for longer that it hangs, shorter ends long
 scenes."""
@@ -257,14 +259,19 @@ def _stop_next(halt: Halt) -> bool:
     """Tell the nearest vehicle that can still brake to stop; False while there is none."""
     import libsumo
 
-    lane = f"{halt.road}_{halt.lane}"
     _, at_m, _ = libsumo.simulation.convertRoad(halt.x_m, halt.y_m)
-    best, best_m = "", -1.0
-    for vehicle in libsumo.lane.getLastStepVehicleIDs(lane):
-        along_m = libsumo.vehicle.getLanePosition(vehicle)
+    if at_m < ROOM_M:  # who can still brake is on the road before
+        vehicles = libsumo.vehicle.getIDList()
+    else:
+        vehicles = libsumo.lane.getLastStepVehicleIDs(f"{halt.road}_{halt.lane}")
+    best, best_m = "", 1000.0
+    for vehicle in vehicles:
+        if halt.road not in libsumo.vehicle.getRoute(vehicle):
+            continue
+        far_m = libsumo.vehicle.getDrivingDistance(vehicle, halt.road, at_m, halt.lane)
         braking_m = libsumo.vehicle.getSpeed(vehicle) ** 2 / (2.0 * BRAKING_MPS2) + 5.0
-        if best_m < along_m <= at_m - braking_m:
-            best, best_m = vehicle, along_m
+        if braking_m <= far_m < best_m:
+            best, best_m = vehicle, far_m
     if not best:
         return False
     libsumo.vehicle.setStop(best, halt.road, at_m, halt.lane, halt.duration_s)
