@@ -218,19 +218,8 @@ class StandingWatch:
             for stand in self._stands:
                 if stand.lane < 0 or abs(stand.x - now.x) + abs(stand.y - now.y) > 2.0 * moved:
                     continue
-                if stand.holder is track:
-                    continue
-                a = along_and_left(stand.x, stand.y, stand.heading, before)
-                b = along_and_left(stand.x, stand.y, stand.heading, now)
-                if not a[0] < 0.0 <= b[0]:
-                    continue
-                left = abs(a[1] + (b[1] - a[1]) * -a[0] / (b[0] - a[0]))
-                if left < PASS_M:
-                    stand.through.add(now.track_id)
-                elif left < LANE_BESIDE_M and now.lane != stand.lane:
-                    stand.beside.add(now.track_id)
-                    if stand.lane in track.lanes and track.lanes[stand.lane] < stand.arc:
-                        stand.around.add(now.track_id)
+                if stand.holder is not track:
+                    _note_pass(stand, track, before, now)
 
     def _judge(self, stamp_ns: int, stand: Stand, slow: list[WatchedTrack]) -> None:
         """Report a stand once it can't be a wait any more."""
@@ -300,3 +289,25 @@ class StandingWatch:
             else:
                 beside = beside or abs(along) < BESIDE_M
         return ahead, behind, beside
+
+
+def _note_pass(stand: Stand, track: WatchedTrack, before: Moment, now: Moment) -> None:
+    """Whether a vehicle drove past a stand between two moments, and where."""
+    a = along_and_left(stand.x, stand.y, stand.heading, before)
+    b = along_and_left(stand.x, stand.y, stand.heading, now)
+    if not a[0] < 0.0 <= b[0]:
+        return
+    left = abs(a[1] + (b[1] - a[1]) * -a[0] / (b[0] - a[0]))
+    if left < PASS_M:
+        if _drives(before) and _drives(now):
+            stand.through.add(now.track_id)
+    elif left < LANE_BESIDE_M and now.lane != stand.lane:
+        stand.beside.add(now.track_id)
+        if stand.lane in track.lanes and track.lanes[stand.lane] < stand.arc:
+            stand.around.add(now.track_id)
+
+
+def _drives(moment: Moment) -> bool:
+    """Whether a vehicle drives; an id that jumps along a queue stands between its jumps."""
+    stands = hypot(moment.within_x, moment.within_y) < 0.5 * MOVES_MPS
+    return hypot(moment.vx, moment.vy) >= MOVES_MPS and not stands

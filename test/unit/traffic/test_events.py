@@ -212,7 +212,7 @@ def test_frame_by_frame_in_blocks_or_at_once_gives_the_same_bytes(
 
 
 def test_a_stopped_vehicle_is_told_while_it_stands_and_ends_when_it_is_gone() -> None:
-    rows = watch(frames_of(stopped_car(), 175.0), LANES)
+    rows = watch(frames_of(stopped_car(), 200.0), LANES)
     assert rows["state"].tolist() == [EventState.BEGAN, EventState.ENDED]
     begin, end = rows
     stood_s = (begin["stamp_ns"] - begin["first_ns"]) * 1e-9
@@ -319,7 +319,7 @@ def test_an_outage_is_no_event() -> None:
 
 
 def test_an_event_goes_on_when_the_map_is_replaced() -> None:
-    frames = frames_of(stopped_car(), 175.0)
+    frames = frames_of(stopped_car(), 200.0)
     watch = EventWatch(LANES)
     half = 500
     watch.add(
