@@ -263,7 +263,7 @@ def closed_lane(scene: Scene, seed: int) -> Planted:
     duration_s = 600.0
     record = simulate_traffic(scene, placed, duration_s, seed)
     begin = round(240.0 / STEP_S)
-    options = [k for k in long_enough(lanes) if _has_beside(lanes, k)]
+    options = [k for k in long_enough(lanes) if _beside(lanes, k)]
     for k in random.permutation(options).tolist():
         at = project(record.xy, lanes[k].lane.centerline_m)
         inside = at.inside & (np.abs(at.offset_m) < 0.5 * lanes[k].lane.width_m)
@@ -273,19 +273,32 @@ def closed_lane(scene: Scene, seed: int) -> Planted:
         rows = np.isin(record.vehicle, gone) & (record.step >= begin)
         early = np.unique(record.vehicle[rows & inside & (record.step < begin + 50)])
         edited = without(record, rows & ~np.isin(record.vehicle, early))
+        if _vehicles_beside(edited, lanes, k, begin) < ENOUGH:
+            continue  # all of them used this lane somewhere: none are left
         ids = [lanes[k].lane.lane_id]
         return finish(scene, edited, duration_s, seed, ids, (np.nan, np.nan), (240.0, duration_s))
     return finish(scene, record, duration_s, seed, [], (np.nan, np.nan), (0.0, 0.0))
 
 
-def _has_beside(lanes: list[VisibleLane], k: int) -> bool:
+def _vehicles_beside(record: TrafficRecord, lanes: list[VisibleLane], k: int, begin: int) -> int:
+    """How many drive in the lanes beside one, from a step on."""
+    inside = np.zeros(len(record.step), np.bool_)
+    for j in _beside(lanes, k):
+        at = project(record.xy, lanes[j].lane.centerline_m)
+        inside |= at.inside & (np.abs(at.offset_m) < 1.5)
+    return len(np.unique(record.vehicle[inside & (record.step >= begin)]))
+
+
+def _beside(lanes: list[VisibleLane], k: int) -> list[int]:
+    """Lanes next to one, the same way."""
     lane = lanes[k].lane
-    return any(
-        np.cos(other.lane.middle[2] - lane.middle[2]) > 0.8
-        and np.abs(_nearest(other.lane.centerline_m, point_of(lane, 0.5))) < 6.0
+    return [
+        j
         for j, other in enumerate(lanes)
         if j != k
-    )
+        and np.cos(other.lane.middle[2] - lane.middle[2]) > 0.8
+        and np.abs(_nearest(other.lane.centerline_m, point_of(lane, 0.5))) < 6.0
+    ]
 
 
 PLANTS = {

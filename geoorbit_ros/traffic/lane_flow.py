@@ -42,6 +42,8 @@ BACK = 3
 
 NOW_VEHICLES = 8
 """Vehicles whose median is the speed now. Chosen: fewer may all be lorries, more are late."""
+NOW_SLOW = 6
+"""So many of them are to be slow. Chosen: a wave of braking slows three or four in a row."""
 NOW_NS = 300_000_000_000
 """They came within this time. Chosen: five minutes; who came before says nothing of now."""
 USUAL_VEHICLES = (20, 200)
@@ -238,7 +240,9 @@ class LaneFlow:
         if state.speeds[0][0] < stamp_ns - NOW_NS:
             return
         now, usual = median(speed for _, _, speed in state.speeds), median(state.usual)
-        if state.drop is None and now < DROP_SHARE * usual and now < usual - DROP_MPS:
+        slow = min(DROP_SHARE * usual, usual - DROP_MPS)
+        slow_ones = sum(speed < slow for _, _, speed in state.speeds)
+        if state.drop is None and slow_ones >= NOW_SLOW:
             x, y = self._place[lane].tolist()
             state.drop = self._log.begin(
                 EventKind.SPEED_DROP,
