@@ -30,6 +30,7 @@ LONG = [
     "differential_privacy",
     "driven_lanes",
     "driving_side",
+    "events",
     "export",
     "extend_guide",
     "faulty_ground_points",
