@@ -38,7 +38,7 @@ from geoorbit_ros.cli.inputs import load_camera, make_mapper
 from geoorbit_ros.core.input_report import InputReport
 from geoorbit_ros.core.lanes import Lane, LaneEdge, LaneMap
 from geoorbit_ros.core.polylines import project
-from geoorbit_ros.lanes.pipeline import map_lanes, project_frames
+from geoorbit_ros.lanes.pipeline import map_lanes, project_blocks, project_frames
 from geoorbit_ros.markings.fusion import follow_paint
 from geoorbit_ros.rendering.conditions import Conditions
 from geoorbit_ros.rendering.rendered_scene import render_scene
@@ -286,7 +286,7 @@ def sheet_of(folder: Path, target: Path) -> None:
         camera = load_camera(
             case / "tracks.csv", None, case / "calibration.csv", case.name, size, None, target
         )
-        tracks = project_frames(camera.frames, camera.projector)
+        tracks = project_blocks(camera.frames, camera.projector)
         before = camera.find_lanes(tracks, make_mapper("curvilinear", 5.0))
         found = follow_paint(
             before, image, camera.homography, camera.image_size, InputReport(case.name)

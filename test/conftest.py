@@ -54,6 +54,7 @@ LONG = [
     "plausibility",
     "plugins",
     "process_scene",
+    "projected_blocks",
     "random_scene",
     "real_cameras",
     "render_boxes",

@@ -43,37 +43,48 @@ if TYPE_CHECKING:
 _UNIT_S = {"s": 1, "min": 60, "h": 3600, "d": 86_400}
 
 
+OutOption = Annotated[Path, typer.Option("--out", help="Folder for the files; new or empty.")]
+PointsOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--calibration",
+        help="Control points: a CSV with pixel_x, pixel_y, latitude, longitude. With --database it "
+        "only says how sure speeds are.",
+    ),
+]
+DatabaseOption = Annotated[
+    Path | None, typer.Option("--database", help="Ground tracks: the recorder's SQLite file.")
+]
+LanesOption = Annotated[
+    Path | None, typer.Option("--lanes", help="Count on these lanes instead of finding them.")
+]
+IntervalOption = Annotated[
+    str, typer.Option("--interval", help="Length of intervals: 30s, 15min, 1h, 1d.")
+]
+TimezoneOption = Annotated[
+    str | None,
+    typer.Option(
+        "--timezone",
+        metavar="ZONE",
+        help="Of the intervals, as Europe/Berlin; default: this machine's.",
+    ),
+]
+SchemeOption = Annotated[
+    str,
+    typer.Option("--class-scheme", help="Vehicle classes: coco, fhwa3, tls5+1 or a YAML file."),
+]
+
+
 def traffic(
-    out: Annotated[Path, typer.Option("--out", help="Folder for the files; new or empty.")],
-    calibration: Annotated[
-        Path | None,
-        typer.Option(
-            "--calibration",
-            help="Control points: a CSV with pixel_x, pixel_y, latitude, longitude. With "
-            "--database it only says how sure speeds are.",
-        ),
-    ] = None,
+    out: OutOption,
+    calibration: PointsOption = None,
     tracks: TracksOption = None,
     bag: BagOption = None,
-    database: Annotated[
-        Path | None, typer.Option("--database", help="Ground tracks: the recorder's SQLite file.")
-    ] = None,
-    lanes: Annotated[
-        Path | None, typer.Option("--lanes", help="Count on these lanes instead of finding them.")
-    ] = None,
-    interval: Annotated[
-        str, typer.Option("--interval", help="Length of intervals: 30s, 15min, 1h, 1d.")
-    ] = "15min",
-    timezone: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ZONE", help="Of the intervals, as Europe/Berlin; default: this machine's."
-        ),
-    ] = None,
-    class_scheme: Annotated[
-        str,
-        typer.Option("--class-scheme", help="Vehicle classes: coco, fhwa3, tls5+1 or a YAML file."),
-    ] = "coco",
+    database: DatabaseOption = None,
+    lanes: LanesOption = None,
+    interval: IntervalOption = "15min",
+    timezone: TimezoneOption = None,
+    class_scheme: SchemeOption = "coco",
     camera_id: CameraIdOption = None,
     estimator: EstimatorOption = DEFAULT_ESTIMATOR,
     image_size: ImageSizeOption = None,
@@ -96,12 +107,10 @@ def traffic(
     Example: [bold]geoorbit traffic --tracks tracks.csv --calibration calibration.csv
     --interval 5min --out traffic[/bold]
     """
-    from geoorbit_ros.cli.console import print_remarks
     from geoorbit_ros.scenes.output import check_new_folder
     from geoorbit_ros.storage.atomic import atomic_output
 
-    clock = _clock(interval, timezone)
-    scheme = _scheme(class_scheme)
+    clock, scheme = _clock(interval, timezone), _scheme(class_scheme)
     check_new_folder(out, overwrite=force)
     if database is not None:
         if tracks or bag:
@@ -121,7 +130,6 @@ def traffic(
         _write(folder, source, recorded, scheme, clock)
         _write_page(folder / "report.html", source, recorded, scheme, clock)
     _tell(source, recorded, scheme)
-    print_remarks(*source.reports())
     _say_where(out, recorded, clock)
 
 
@@ -170,7 +178,7 @@ def _of_camera(
 ) -> TrafficSource:
     """The traffic of a file of tracks or a bag."""
     from geoorbit_ros.cli.console import read_lanes_aloud
-    from geoorbit_ros.core.tables import frames_of
+    from geoorbit_ros.core.tables import frames_between
     from geoorbit_ros.lanes.geojson import write_lanes
     from geoorbit_ros.traffic.interval_clock import usual_gap_s
 
@@ -190,8 +198,8 @@ def _of_camera(
         lane_map,
         write,
         camera.homography,
-        lambda: iter([frames_of(ground)]),
-        lambda first_ns, last_ns: frames_of([f for f in ground if first_ns <= f[0] <= last_ns]),
+        lambda: iter(ground),
+        lambda first_ns, last_ns: frames_between(ground, first_ns, last_ns),
         usual_gap_s(camera.frames),
         camera.reports,
         (
@@ -299,7 +307,7 @@ def _write_page(
 
 def _tell(source: TrafficSource, recorded: Recorded, scheme: ClassScheme) -> None:
     """One row per lane for the whole recording."""
-    from geoorbit_ros.cli.console import console, count_of, make_table, say
+    from geoorbit_ros.cli.console import console, count_of, make_table, print_remarks, say
     from geoorbit_ros.report.text import number
     from geoorbit_ros.report.traffic.tables import with_error
     from geoorbit_ros.traffic.count import whole_measures
@@ -328,6 +336,7 @@ def _tell(source: TrafficSource, recorded: Recorded, scheme: ClassScheme) -> Non
             f"{recorded.in_no_lane} of {count_of(recorded.vehicles, 'vehicle')} were seen along no "
             "lane for as far as 5 m, most of them at the edge of the view: they don't count."
         )
+    print_remarks(*source.reports())
 
 
 def _say_where(out: Path, recorded: Recorded, clock: IntervalClock) -> None:
