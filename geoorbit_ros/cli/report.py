@@ -145,7 +145,8 @@ def save_report(
         image_size=camera.image_size,
         method=method,
     )
-    traffic = _traffic(camera, lane_map, recording) if lane_map.lanes else None
+    counted = lane_map.lanes and recording.frame_count
+    traffic = _traffic(camera, lane_map, recording) if counted else None
     content = ReportInput(
         camera.camera_id,
         lane_map,

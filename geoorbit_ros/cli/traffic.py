@@ -144,6 +144,7 @@ class TrafficSource:
         plane: The calibration, if it is known.
         blocks: The ground tracks.
         frames_between: Those from one stamp to another, both included.
+        frame_count: How many frames there are.
         max_gap_s: How long a pause between frames may be.
         reports: What is to be said about the input.
         files: Names and values for the report: where tracks and lanes came from.
@@ -155,18 +156,28 @@ class TrafficSource:
     plane: RoadPlane | None
     blocks: Callable[[], Iterator[Frames]]
     frames_between: Callable[[int, int], Frames]
+    frame_count: int
     max_gap_s: float
     reports: Callable[[], tuple[InputReport, ...]]
     files: tuple[tuple[str, str], ...] = ()
 
     def count(self) -> Recorded:
-        """Count all vehicles."""
+        """Count all vehicles, under a progress bar."""
+        from geoorbit_ros.cli.console import shown_progress
         from geoorbit_ros.traffic.count import record
         from geoorbit_ros.traffic.counter import TrafficCounter
 
-        return record(
-            TrafficCounter(self.lane_map.lanes, self.plane), self.blocks(), self.max_gap_s
-        )
+        counter = TrafficCounter(self.lane_map.lanes, self.plane)
+        with shown_progress() as tell:
+
+            def told() -> Iterator[Frames]:
+                done = 0
+                for frames in self.blocks():
+                    yield frames
+                    done += len(frames)
+                    tell("counting vehicles", min(done / max(self.frame_count, 1), 1.0))
+
+            return record(counter, told(), self.max_gap_s)
 
 
 def _of_camera(
@@ -200,6 +211,7 @@ def _of_camera(
         camera.homography,
         lambda: iter(ground),
         lambda first_ns, last_ns: frames_between(ground, first_ns, last_ns),
+        len(camera.frames),
         usual_gap_s(camera.frames),
         camera.reports,
         (
@@ -218,14 +230,15 @@ def _of_database(
     Raises:
         GeoOrbitError: No such camera, several and none named, or no lanes.
     """
-    from geoorbit_ros.cli.console import read_lanes_aloud, track
+    from geoorbit_ros.cli.console import read_lanes_aloud
     from geoorbit_ros.cli.inputs import read_plane
     from geoorbit_ros.lanes.geojson import parse_lane_file, write_lanes
     from geoorbit_ros.storage.database.reader import TrajectoryReader
     from geoorbit_ros.traffic.interval_clock import GAP_S
 
     with TrajectoryReader(database) as reader:
-        known = [camera.camera_id for camera in reader.cameras()]
+        frame_counts = {camera.camera_id: camera.frames for camera in reader.cameras()}
+        known = list(frame_counts)
         name = camera_id or (known[0] if len(known) == 1 else "")
         if not name:
             found = f"{len(known)} cameras in {database}"
@@ -241,7 +254,7 @@ def _of_database(
 
     def blocks() -> Iterator[Frames]:
         with TrajectoryReader(database) as reader:
-            yield from track(reader.batches(name), "counting")
+            yield from reader.batches(name)
 
     def frames_between(first_ns: int, last_ns: int) -> Frames:
         with TrajectoryReader(database) as reader:
@@ -252,7 +265,16 @@ def _of_database(
 
     files = (("Tracks", database.name), ("Lanes", lanes.name if lanes else database.name))
     return TrafficSource(
-        name, file.lane_map, write, plane, blocks, frames_between, GAP_S, lambda: (), files
+        name,
+        file.lane_map,
+        write,
+        plane,
+        blocks,
+        frames_between,
+        frame_counts.get(name, 0),
+        GAP_S,
+        lambda: (),
+        files,
     )
 
 

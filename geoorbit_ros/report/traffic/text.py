@@ -57,7 +57,7 @@ def lead_sentences(content: TrafficContent) -> str:
 
 def _station_sentence(content: TrafficContent, station: Station, *, first: bool) -> str:
     row = content.whole_row(station)
-    vehicles = count(int(row["volume"]), "vehicle")
+    vehicles = f"{row['volume']:,} {'vehicle' if row['volume'] == 1 else 'vehicles'}"
     begin = f"In {duration_text(content.watched_s)}, {vehicles} drove" if first else vehicles
     same_way = [s for s in content.stations if towards(s) == towards(station)]
     where = f" past station {station.station_id}" if len(same_way) > 1 else ""

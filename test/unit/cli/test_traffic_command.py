@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections import Counter
 from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
 from camera_files import CameraFiles
+from page_checker import check_page
 
 from geoorbit_ros.cli.inputs import load_camera
 from geoorbit_ros.cli.main import main
 from geoorbit_ros.storage.database.writer import TrajectoryDatabase
 
 TABLES = ("vehicles", "intervals", "movements")
+SECTIONS = re.compile(r"<h2>Traffic per lane</h2>.*(?=<h2>How this was made)")
 
 
 def traffic(camera: CameraFiles, out: Path, *more: object) -> int:
@@ -99,6 +102,10 @@ def test_a_database_gives_the_same_bytes_as_the_tracks(
     assert main([str(w) for w in ("traffic", *words, "--out", out)]) == 0
     for name in TABLES:
         assert (out / f"{name}.csv").read_bytes() == (found / f"{name}.csv").read_bytes(), name
+    pictures = [
+        SECTIONS.findall((k / "report.html").read_text(encoding="utf-8")) for k in (out, found)
+    ]
+    assert pictures[0] == pictures[1] != []
 
 
 def test_a_scheme_of_ones_own_and_the_schemes_of_agencies_class_the_vehicles(
@@ -149,3 +156,18 @@ def test_missing_sources_get_one_sentence(
             database.append_lanes(name, 0, "{}")
     assert main(["traffic", "--database", str(path), "--out", out]) == 2
     assert "expected one of north, south" in capsys.readouterr().err
+
+
+def test_the_page_has_the_numbers_of_the_tables_and_the_lane_report_shows_them_too(
+    camera: CameraFiles, found: Path, tmp_path: Path
+) -> None:
+    page = (found / "report.html").read_text(encoding="utf-8")
+    check_page(page)
+    assert "30 vehicles drove towards" in page
+    report = tmp_path / "report.html"
+    words = ("--tracks", camera.tracks, "--calibration", camera.calibration, "--out", report)
+    assert main([str(w) for w in ("report", *words, "--lanes", camera.truth)]) == 0
+    both = report.read_text(encoding="utf-8")
+    check_page(both)
+    table = re.compile(r"<h2>Traffic per lane</h2>.*?</section>")
+    assert table.findall(page) == table.findall(both) != []
