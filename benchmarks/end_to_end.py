@@ -33,7 +33,7 @@ from geoorbit_ros.core.errors import NoTrafficError
 from geoorbit_ros.detection.detector import make_detector
 from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.lanes.geojson import read_lanes
-from geoorbit_ros.lanes.pipeline import map_lanes
+from geoorbit_ros.lanes.pipeline import map_blocks
 from geoorbit_ros.metrics.lane_score import Tally
 from geoorbit_ros.metrics.score import score_lanes
 from geoorbit_ros.rendering.output import write_rendered_scene
@@ -90,7 +90,7 @@ def run_scene(name: str, seed: int, cache: Path) -> Outcome:
     with open_frame_source(str(folder / "video.mp4")) as video:
         warm_up_detector(detector, video, None)
         try:
-            lanes = map_lanes(run.ground_tracks(video), mapper).lanes
+            lanes = map_blocks(run.ground_tracks(video), mapper).lanes
         except NoTrafficError:
             lanes = ()
     images_per_s = len(run.seen) / (time.process_time() - start_s)

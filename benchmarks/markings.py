@@ -10,7 +10,9 @@ A kind counts as right where the boundary that was found solid or dashed is so p
 
 With FOLDER, real cameras instead: FOLDER/NAME/ has `image.png`, `calibration.csv` and `tracks.csv`;
 a contact sheet shows what was found over each image. Where there is a `lines.csv`
-(`line,pixel_x,pixel_y`: two and more points of each surveyed line), widths are compared with it.
+(`line,pixel_x,pixel_y`: two and more points of each surveyed line), widths are compared with it. It
+is told, too, how far the surveyed lines are from painted boundaries, which are the middles of
+lines, and from the nearer edge of the paint.
 
     python benchmarks/markings.py FOLDER --sheet sheet.png
 """
@@ -38,7 +40,7 @@ from geoorbit_ros.cli.inputs import load_camera, make_mapper
 from geoorbit_ros.core.input_report import InputReport
 from geoorbit_ros.core.lanes import Lane, LaneEdge, LaneMap
 from geoorbit_ros.core.polylines import project
-from geoorbit_ros.lanes.pipeline import map_lanes, project_frames
+from geoorbit_ros.lanes.pipeline import map_lanes, project_blocks, project_frames
 from geoorbit_ros.markings.fusion import follow_paint
 from geoorbit_ros.rendering.conditions import Conditions
 from geoorbit_ros.rendering.rendered_scene import render_scene
@@ -256,26 +258,41 @@ def surveyed(path: Path, plane: Homography) -> list[Array]:
     return [plane.to_ground(pixel[rows["line"] == k]) for k in np.unique(rows["line"])]
 
 
-def true_width(lane: Lane, lines: Sequence[Array]) -> float:
-    """Distance of the two surveyed lines that are nearest to a lane's boundaries, at its middle."""
+def offsets_at_middle(lane: Lane, lines: Sequence[Array]) -> Array:
+    """How far left of a lane's middle lines are, half-way along it."""
     x, y, heading = lane.middle
     along = np.array([np.cos(heading), np.sin(heading)])
     across = np.array([-along[1], along[0]])
-
-    def offset(line: Array) -> float:
+    found = []
+    for line in lines:
         forward, side = (line - (x, y)) @ along, (line - (x, y)) @ across
         order = np.argsort(forward)
-        return float(np.interp(0.0, forward[order], side[order]))
+        found.append(np.interp(0.0, forward[order], side[order]))
+    return np.array(found)
 
-    offsets = np.array([offset(line) for line in lines])
-    sides = [offset(lane.left_m), offset(lane.right_m)]
-    left, right = (offsets[np.argmin(np.abs(offsets - side))] for side in sides)
-    return float(left - right)
+
+def against_survey(lane: Lane, lines: Sequence[Array]) -> tuple[float, list[tuple[float, float]]]:
+    """Distance of the two surveyed lines that are nearest to a lane's boundaries, at its middle.
+
+    Returns:
+        It, and for each painted boundary how far the surveyed line is from it, and from the nearer
+        edge of its paint.
+    """
+    surveyed_m = offsets_at_middle(lane, lines)
+    sides = offsets_at_middle(lane, (lane.left_m, lane.right_m))
+    left, right = (surveyed_m[np.argmin(np.abs(surveyed_m - side))] for side in sides)
+    apart = []
+    edges = lane.left_edge, lane.right_edge
+    for true_m, side, edge in zip((left, right), sides, edges, strict=True):
+        if edge is not None and edge.source == "paint":
+            off = abs(float(true_m - side))
+            apart.append((off, abs(off - 0.5 * edge.marking_width_m)))
+    return float(left - right), apart
 
 
 def sheet_of(folder: Path, target: Path) -> None:
     """Find the lines of real cameras, and show them over their images."""
-    tiles, errors = [], []
+    tiles, errors, apart = [], [], []
     print(
         "| camera | lane | width by the traffic, m | with the image, m | surveyed, m | boundaries |"
     )
@@ -286,25 +303,33 @@ def sheet_of(folder: Path, target: Path) -> None:
         camera = load_camera(
             case / "tracks.csv", None, case / "calibration.csv", case.name, size, None, target
         )
-        tracks = project_frames(camera.frames, camera.projector)
+        tracks = project_blocks(camera.frames, camera.projector)
         before = camera.find_lanes(tracks, make_mapper("curvilinear", 5.0))
         found = follow_paint(
             before, image, camera.homography, camera.image_size, InputReport(case.name)
         )
         lines = surveyed(case / "lines.csv", camera.homography)
-        for old, lane in zip(before.lanes, found.lanes, strict=True):
-            width = true_width(lane, lines) if lines else float("nan")
-            errors.append((abs(old.width_m - width), abs(lane.width_m - width)))
+        by_traffic = {lane.lane_id: lane.width_m for lane in before.lanes}
+        for lane in found.lanes:
+            old_m, width_m = by_traffic.get(lane.lane_id, float("nan")), float("nan")
+            if lines:
+                width_m, off = against_survey(lane, lines)
+                apart += off
+            errors.append((abs(old_m - width_m), abs(lane.width_m - width_m)))
             edges = [e.marking if e else "" for e in (lane.left_edge, lane.right_edge)]
             marks = ", ".join(mark or "traffic" for mark in edges)
-            cells = (case.name, str(lane.lane_id), f"{old.width_m:.2f}", f"{lane.width_m:.2f}")
-            print("| " + " | ".join((*cells, f"{width:.2f}", marks)) + " |", flush=True)
+            cells = (case.name, str(lane.lane_id), f"{old_m:.2f}", f"{lane.width_m:.2f}")
+            print("| " + " | ".join((*cells, f"{width_m:.2f}", marks)) + " |", flush=True)
         tiles.append(drawn(image, found, camera.homography, case.name))
     known = np.array([pair for pair in errors if np.isfinite(pair).all()])
     if len(known):
-        (before, after), worst = known.mean(axis=0), known.max(axis=0)
-        print(f"mean error of {len(known)} widths by the traffic: {before:.3f} m, {worst[0]:.2f} m "
-              f"at worst; with the image: {after:.3f} m, {worst[1]:.2f} m at worst")  # fmt: skip
+        (old_m, new_m), worst = known.mean(axis=0), known.max(axis=0)
+        print(f"mean error of {len(known)} widths by the traffic: {old_m:.3f} m, {worst[0]:.2f} m "
+              f"at worst; with the image: {new_m:.3f} m, {worst[1]:.2f} m at worst")  # fmt: skip
+    if apart:
+        middle_m, edge_m = np.mean(apart, axis=0)
+        print(f"surveyed lines are {middle_m:.3f} m from the middle of the paint of {len(apart)} "
+              f"boundaries in the mean, {edge_m:.3f} m from its nearer edge")  # fmt: skip
     tiles += [np.zeros((TILE[1], TILE[0], 3), np.uint8)] * (-len(tiles) % 3)
     rows = [np.hstack(tiles[k : k + 3]) for k in range(0, len(tiles), 3)]
     cv2.imwrite(str(target), np.vstack(rows))

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.camera_pose import CameraPose, recover_pose
+from geoorbit_ros.calibration.elementwise import worst_sigma
+from geoorbit_ros.calibration.ground_filter import STATE_ROWS, Boxes, GroundFilter, GroundRows
 from geoorbit_ros.calibration.homography import Homography
-from geoorbit_ros.calibration.plane import worst_sigma
 from geoorbit_ros.calibration.plausibility import TrafficCheck, calibration_report
-from geoorbit_ros.calibration.track_velocity import TrackSlots, VelocityFilter
-from geoorbit_ros.calibration.vehicle_fit import fit_vehicles
-from geoorbit_ros.calibration.vehicle_size import SizeFilter
+from geoorbit_ros.calibration.track_waves import TrackMemory
+from geoorbit_ros.calibration.vehicle_size import GROUP
 from geoorbit_ros.core.errors import CalibrationError, TableError
 from geoorbit_ros.core.input_report import InputReport
 from geoorbit_ros.core.tables import (
@@ -23,6 +23,8 @@ from geoorbit_ros.core.tables import (
     FLAG_TRUNCATED,
     PIXEL_TRACK_DTYPE,
     TRACK_DTYPE,
+    Frames,
+    one_frame,
 )
 
 Array = NDArray[np.float64]
@@ -37,8 +39,6 @@ larger passes on rows that say little, smaller ends tracks nearer to the camera.
 SIZE_PERIOD_S = 0.1
 """Sizes are learnt from one frame in every such period of data time: boxes of the frames between
 have the same errors. Chosen: longer learns sizes later, shorter costs time."""
-PATH_HEIGHT_M = 0.8
-"""Height of a box's centre where nothing is known of the vehicle: half the height of a car."""
 
 
 @dataclass(slots=True)
@@ -102,17 +102,19 @@ class BoxProjector:
         self.pose_error: CalibrationError | None = None
         self._reject_truncated = reject_truncated
         self._max_sigma_m = max_sigma_m
-        self._size_px = np.array(image_size, dtype=np.float64)
+        self._size_px = np.array(image_size, dtype=np.float64)[:, None]
         self._border = border_ratio * self._size_px
         self._horizon = homography.matrix[2]
         self.calibration_report = calibration_report(homography, image_size)
         self.doubted = False
         try:
             self.pose = recover_pose(homography, image_size)
-            self._projection = self.pose.projection
+            projection, camera_m = self.pose.projection, self.pose.position_m
+            self._filter = GroundFilter(projection, camera_m, max_sigma_m)
         except CalibrationError as error:
             self.pose_error = error
-            self._projection = np.insert(homography.inverse, 2, 0.0, axis=1)
+            projection = np.insert(homography.inverse, 2, 0.0, axis=1)
+            self._filter = GroundFilter(projection, None, max_sigma_m)
         self.traffic = TrafficCheck(homography, image_size, self.pose, self.pose_error)
         self.reset()
 
@@ -128,9 +130,7 @@ class BoxProjector:
 
     def reset(self) -> None:
         """Forget all tracks, for a source that starts again at an earlier time."""
-        self._slots = TrackSlots()
-        self._motion = VelocityFilter(self._slots.capacity)
-        self._sizes = SizeFilter(self._slots.capacity)
+        self._memory = TrackMemory(STATE_ROWS)
         self.traffic.reset()
         self._stamp_ns: int | None = None
         self._epoch_ns: int | None = None
@@ -139,7 +139,7 @@ class BoxProjector:
     @property
     def tracks(self) -> int:
         """How many tracks are remembered: those seen in the last ten seconds."""
-        return len(self._slots)
+        return len(self._memory)
 
     def project(self, stamp_ns: int, rows: NDArray[np.void]) -> NDArray[np.void]:
         """Project one frame; see `lanes.pipeline.GroundProjector`.
@@ -147,105 +147,129 @@ class BoxProjector:
         Raises:
             TableError: Rows of another dtype, or a stamp not later than the one before.
         """
-        self._check_frame(stamp_ns, rows)
+        return self.project_block(one_frame(stamp_ns, rows)).rows
+
+    def project_block(self, frames: Frames) -> Frames:
+        """Project many frames together, in a fraction of the time; see `lanes.pipeline`.
+
+        The bytes are those of one frame after the other, and so is what is remembered.
+
+        Raises:
+            TableError: Rows of another dtype, or a stamp not later than the one before.
+        """
+        self._check_frames(frames)
+        stamps = frames.stamp_ns
+        if not len(stamps):
+            return Frames(stamps, frames.offset, np.empty(0, dtype=TRACK_DTYPE))
         if self._epoch_ns is None:
-            self._epoch_ns = stamp_ns
-        time_s = (stamp_ns - self._epoch_ns) * 1e-9
-        period, self._period = self._period, int(time_s / SIZE_PERIOD_S)
-        self._stamp_ns = stamp_ns
-        self.traffic.add(stamp_ns, rows)
-        rows, centre, side, truncated = self._usable_rows(rows)
-        if not len(rows):
-            return np.empty(0, dtype=TRACK_DTYPE)
+            self._epoch_ns = int(stamps[0])
+        time_s = (stamps - self._epoch_ns).astype(np.float64) * 1e-9
+        period = (time_s / SIZE_PERIOD_S).astype(np.int64)
+        sampled = period != np.concatenate(([self._period], period[:-1]))
+        self._stamp_ns, self._period = int(stamps[-1]), int(period[-1])
+        doubtful = self.traffic.add(frames)
+        doubtful |= self.doubted or self.calibration_report.doubtful
+        frame = np.arange(len(stamps)).repeat(frames.offset[1:] - frames.offset[:-1])
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            kept, truncated = self._usable_rows(frames.rows)
+            frame, found = frame[kept], np.empty(0, dtype=TRACK_DTYPE)
+            if len(kept):
+                waves = self._memory.enter(stamps[frame], frames.rows["track_id"][kept])
+                at, row = frame[waves.order], kept[waves.order]
+                rows, cut = frames.rows.take(row), truncated[row]
+                boxes = self._boxes(rows, cut, time_s[at], sampled[at])
+                ground = self._filter.run(waves, boxes)
+                self._memory.leave(waves, self._stamp_ns)
+                sigma = self._sigma(boxes, ground)
+                place = np.empty(len(kept), dtype=np.intp)
+                place[waves.order] = np.arange(len(kept))
+                place = place[sigma[place] <= self._max_sigma_m]
+                found = _table(rows, cut, doubtful[at], sigma, ground).take(place)
+                frame = at[place]
+        self.counts.too_uncertain += len(kept) - len(found)
+        self.counts.returned += len(found)
+        offset = np.zeros_like(frames.offset)
+        np.bincount(frame, minlength=len(stamps)).cumsum(out=offset[1:])
+        return Frames(stamps, offset, found)
+
+    def _usable_rows(self, rows: NDArray[np.void]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+        """Which rows (M,) show the road, and which of all rows (N,) are truncated."""
+        box = _columns(rows, ("x", "y", "width", "height"))
+        finite = np.isfinite(box).all(axis=0)
+        centre, half = box[:2], box[2:] / 2
+        cut = (centre - half < self._border) | (centre + half > self._size_px - self._border)
+        truncated = cut.any(axis=0) & ((rows["flags"] & FLAG_GROUND_POINT) == 0)
+        truncated |= (rows["flags"] & FLAG_TRUNCATED) != 0
+        inside = finite & ~truncated if self._reject_truncated else finite
+        x, y = centre if self.pose is not None else _foot(centre, box[2:])
+        kept = inside & (self._horizon[0] * x + self._horizon[1] * y + self._horizon[2] > 0)
+        self.counts.rows += len(rows)
+        self.counts.not_finite += int((~finite).sum())
+        self.counts.truncated += int((finite & ~inside).sum())
+        self.counts.above_horizon += int((inside & ~kept).sum())
+        return kept.nonzero()[0], truncated
+
+    def _boxes(
+        self,
+        rows: NDArray[np.void],
+        truncated: NDArray[np.bool_],
+        time_s: Array,
+        sampled: NDArray[np.bool_],
+    ) -> Boxes:
+        """Usable rows (M,) for the filter; without a pose, all are ground points."""
+        centre, side = _columns(rows, ("x", "y")), _columns(rows, ("width", "height"))
         observed = (rows["flags"] & FLAG_PREDICTED) == 0
         solid = (rows["flags"] & FLAG_GROUND_POINT) == 0
         if self.pose is None:
             centre, solid = _foot(centre, side), np.zeros_like(solid)
             side = np.zeros_like(side)
+        group, score = GROUP[rows["class_id"] & 255], rows["score"].astype(np.float64)
+        whole = solid & observed & ~truncated
+        return Boxes(time_s, centre, side, group, score, solid, observed, whole, sampled)
 
-        slot, fresh = self._slots.enter(stamp_ns, rows["track_id"])
-        self._motion.reserve(self._slots.capacity)
-        self._sizes.reserve(self._slots.capacity)
-        size, size_cov = self._sizes.enter(slot, fresh, time_s, rows["class_id"])
-        heading = self._motion.enter(slot, fresh)
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            fit = fit_vehicles(self._projection, centre, side, heading, size, size_cov, solid)
-        if self._period != period:
-            usable = solid & observed & ~truncated & fit.good & ~np.isnan(heading)
-            self._sizes.update(slot, time_s, rows, side, fit.side_px, fit.side_slope, usable)
-        total = fit.covariance + self.homography.fit_covariance(centre)
+    def _sigma(self, boxes: Boxes, ground: GroundRows) -> Array:
+        """(M,) 1-sigma ground error with that of the road plane, metres."""
+        plane = self.homography.fit_covariance(boxes.centre.T)
+        covariance = ground.covariance + plane.transpose(1, 2, 0)
         if self.pose is None:
-            total[:, (0, 1), (0, 1)] += (size[:, 1:2] / 2) ** 2
-        sigma, noise = worst_sigma(total), worst_sigma(fit.noise)
-        # A vehicle of unknown size moves all the same, and its size is learnt with its heading:
-        # only the noise of the box decides whether a position is any use for the motion.
-        observed &= noise <= self._max_sigma_m
-        path, scale = self._path(fit.first_xy, size, solid)
-        velocity, heading = self._motion.update(slot, time_s, path, noise, observed)
-        velocity = velocity * scale
+            covariance[(0, 1), (0, 1)] += (ground.size[1] / 2) ** 2
+        return worst_sigma(covariance)
 
-        out = np.empty(len(rows), dtype=TRACK_DTYPE)
-        out["x"], out["y"] = fit.xy.T
-        out["vx"], out["vy"] = velocity.T
-        out["heading"], out["sigma"] = heading, sigma
-        out["length"], out["width"] = size[:, 0], size[:, 1]
-        out["flags"] = (rows["flags"] & FLAG_PREDICTED) | np.where(truncated, FLAG_TRUNCATED, 0)
-        out["flags"] |= FLAG_DOUBTFUL if self.doubtful else 0
-        for name in ("score", "class_id", "track_id"):
-            out[name] = rows[name]
-        kept = sigma <= self._max_sigma_m
-        self.counts.too_uncertain += int(np.count_nonzero(~kept))
-        self.counts.returned += int(np.count_nonzero(kept))
-        return out if kept.all() else out[kept]
+    def _check_frames(self, frames: Frames) -> None:
+        if frames.rows.dtype != PIXEL_TRACK_DTYPE:
+            raise TableError("tracked boxes", frames.rows.dtype, str(PIXEL_TRACK_DTYPE))
+        before_ns = self._stamp_ns
+        if before_ns is not None and len(frames) and frames.stamp_ns[0] <= before_ns:
+            found = f"stamp {frames.stamp_ns[0]} ns after {before_ns} ns"
+            raise TableError("tracked boxes", found, "a later stamp")
 
-    def _usable_rows(
-        self, rows: NDArray[np.void]
-    ) -> tuple[NDArray[np.void], Array, Array, NDArray[np.bool_]]:
-        """Rows that show the road: the rows, box centres (M, 2), sides (M, 2), truncated (M,)."""
-        box = np.empty((len(rows), 4))
-        for k, name in enumerate(("x", "y", "width", "height")):
-            box[:, k] = rows[name]
-        finite = np.isfinite(box.sum(axis=1))
-        centre, half = box[:, :2], box[:, 2:] / 2
-        cut = (centre - half < self._border) | (centre + half > self._size_px - self._border)
-        truncated = cut.any(axis=1) & ((rows["flags"] & FLAG_GROUND_POINT) == 0)
-        truncated |= (rows["flags"] & FLAG_TRUNCATED) != 0
-        inside = finite & ~truncated if self._reject_truncated else finite
-        foot = centre if self.pose is not None else _foot(centre, box[:, 2:])
-        kept = inside & (foot @ self._horizon[:2] + self._horizon[2] > 0)
-        self.counts.rows += len(rows)
-        self.counts.not_finite += int(np.count_nonzero(~finite))
-        self.counts.truncated += int(np.count_nonzero(finite & ~inside))
-        self.counts.above_horizon += int(np.count_nonzero(inside & ~kept))
-        if kept.all():
-            return rows, centre, box[:, 2:], truncated
-        return rows[kept], centre[kept], box[kept, 2:], truncated[kept]
 
-    def _path(self, first_xy: Array, size: Array, solid: NDArray[np.bool_]) -> tuple[Array, Array]:
-        """Positions (M, 2) for the motion filter and the scale (M, 1) of their velocities.
-
-        While a vehicle's size is being learnt its ground point shifts, which isn't motion. The
-        image of its body's centre on a plane of fixed height doesn't shift, and another height
-        only scales that plane's path about the point below the camera.
-        """
-        if self.pose is None:
-            return first_xy, np.ones((len(first_xy), 1))
-        below = self.pose.position_m[:2]
-        depth = self.pose.position_m[2] - np.where(solid, size[:, 2] / 2, PATH_HEIGHT_M)
-        scale = (depth / (self.pose.position_m[2] - PATH_HEIGHT_M))[:, None]
-        return below + (first_xy - below) / scale, scale
-
-    def _check_frame(self, stamp_ns: int, rows: NDArray[np.void]) -> None:
-        if rows.dtype != PIXEL_TRACK_DTYPE:
-            raise TableError("tracked boxes", rows.dtype, str(PIXEL_TRACK_DTYPE))
-        if self._stamp_ns is not None and stamp_ns <= self._stamp_ns:
-            raise TableError(
-                "tracked boxes", f"stamp {stamp_ns} ns after {self._stamp_ns} ns", "a later stamp"
-            )
+def _columns(rows: NDArray[np.void], names: tuple[str, ...]) -> Array:
+    """Columns of a table as (len(names), N) float64."""
+    return np.array([rows[name] for name in names], dtype=np.float64)
 
 
 def _foot(centre: Array, side: Array) -> Array:
-    """Middle of the lower edge of boxes."""
-    foot = centre.copy()
-    foot[:, 1] += side[:, 1] / 2
-    return foot
+    """Middle of the lower edge (2, N) of boxes."""
+    return np.stack((centre[0], centre[1] + side[1] / 2))
+
+
+def _table(
+    rows: NDArray[np.void],
+    truncated: NDArray[np.bool_],
+    doubtful: NDArray[np.bool_],
+    sigma: Array,
+    ground: GroundRows,
+) -> NDArray[np.void]:
+    """(M,) `TRACK_DTYPE` of `PIXEL_TRACK_DTYPE` rows and what came out for them."""
+    out = np.empty(len(rows), dtype=TRACK_DTYPE)
+    out["x"], out["y"] = ground.xy
+    out["vx"], out["vy"] = ground.velocity
+    out["heading"], out["sigma"] = ground.heading, sigma
+    out["length"], out["width"] = ground.size[:2]
+    out["flags"] = rows["flags"] & np.uint32(FLAG_PREDICTED | FLAG_GROUND_POINT)
+    out["flags"] |= np.where(truncated, np.uint32(FLAG_TRUNCATED), np.uint32(0))
+    out["flags"] |= np.where(doubtful, np.uint32(FLAG_DOUBTFUL), np.uint32(0))
+    for name in ("score", "class_id", "track_id"):
+        out[name] = rows[name]
+    return out

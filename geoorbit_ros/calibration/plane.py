@@ -9,7 +9,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from geoorbit_ros.calibration.control_points import ControlPoints
 from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.calibration.elementwise import total, worst_sigma
 from geoorbit_ros.calibration.robust import jacobian, transfer
+
+CHUNK = 2048
+"""Pixels whose errors are computed together. Chosen: more don't fit into a processor's cache."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,20 +77,28 @@ class RoadPlane:
 
         This error is the same in every frame: it shifts all vehicles at a place together.
         """
-        shift = self.fit_shifts(pixel)
-        return np.asarray(shift.transpose(0, 2, 1) @ shift)
+        uv = np.asarray(pixel, dtype=np.float64).reshape(-1, 2)
+        covariance = np.empty((len(uv), 2, 2))
+        for first in range(0, len(uv), CHUNK):
+            shift = self.fit_shifts(uv[first : first + CHUNK]).transpose(1, 2, 0)
+            part = total(shift[:, :, None] * shift[:, None])
+            covariance[first : first + CHUNK] = part.transpose(2, 0, 1)
+        return covariance
 
     def fit_shifts(self, pixel: ArrayLike) -> NDArray[np.float64]:
         """(N, 8, 2) metres by which each independent 1-sigma error of the fit moves pixels (N, 2).
 
-        Two pixels move together: their distance is surer than their places.
+        Two pixels move together: their distance is surer than their places. Each pixel's numbers
+        are the same in any company; see `elementwise`.
         """
-        uv = np.asarray(pixel, dtype=np.float64).reshape(-1, 2)
-        ground = transfer(self.matrix, uv)
-        w = uv @ self.matrix[2, :2] + self.matrix[2, 2]
-        coefficients = self.spread.reshape(24, 3)
-        change = (uv @ coefficients[:, :2].T + coefficients[:, 2]).reshape(-1, 8, 3)
-        return np.asarray((change[..., :2] - ground[:, None] * change[..., 2:]) / w[:, None, None])
+        u, v = np.asarray(pixel, dtype=np.float64).reshape(-1, 2).T
+        m = self.matrix[:, :, None]
+        x, y, w = m[:, 0] * u + m[:, 1] * v + m[:, 2]
+        c = self.spread[..., None]
+        change = c[:, :, 0] * u + c[:, :, 1] * v + c[:, :, 2]
+        ground = np.stack((x / w, y / w))
+        shifts = (change[:, :2] - ground * change[:, 2:]) / w
+        return np.asarray(shifts.transpose(2, 0, 1))
 
     def covariance(self, pixel: ArrayLike, sigma_px: ArrayLike) -> NDArray[np.float64]:
         """Covariance (N, 2, 2) in m^2 of the ground position of pixels (N, 2).
@@ -95,14 +107,14 @@ class RoadPlane:
             pixel: (N, 2).
             sigma_px: 1-sigma of each coordinate, (N,) or one number.
         """
-        j = self.jacobian(pixel)
-        noise = np.broadcast_to(np.asarray(sigma_px, dtype=np.float64) ** 2, (len(j),))
-        return noise[:, None, None] * (j @ np.swapaxes(j, 1, 2)) + self.fit_covariance(pixel)
+        j = np.ascontiguousarray(self.jacobian(pixel).transpose(2, 1, 0))
+        noise = np.asarray(sigma_px, dtype=np.float64) ** 2 * total(j[:, :, None] * j[:, None])
+        return np.asarray(noise.transpose(2, 0, 1) + self.fit_covariance(pixel))
 
     def sigma_m(self, pixel: ArrayLike, sigma_px: ArrayLike) -> NDArray[np.float64]:
         """1-sigma ground error (N,) along its worst direction; infinite above the horizon."""
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            worst = worst_sigma(self.covariance(pixel, sigma_px))
+            worst = worst_sigma(self.covariance(pixel, sigma_px).transpose(1, 2, 0))
         return np.where(self.visible(pixel), worst, np.inf)
 
 
@@ -134,9 +146,3 @@ class Homography(RoadPlane):
                 f"{self.residual.ground_error_m[k]:.2f} m, {used}"
             )
         return lines
-
-
-def worst_sigma(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Square root (N,) of the larger eigenvalue of covariances (N, 2, 2)."""
-    a, b, c = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
-    return np.asarray(np.sqrt((a + c) / 2 + np.hypot((a - c) / 2, b)))

@@ -28,7 +28,7 @@ from geoorbit_ros.calibration.traffic_findings import (
 )
 from geoorbit_ros.core.errors import CalibrationError
 from geoorbit_ros.core.input_report import InputReport, Remark, Treatment
-from geoorbit_ros.core.tables import FLAG_PREDICTED, VEHICLE_CLASSES
+from geoorbit_ros.core.tables import FLAG_PREDICTED, VEHICLE_CLASSES, Frames
 
 FAR_OUTSIDE = (0.2, 1.0)
 """Control points that lie these shares of the image's width and height beyond its border, in both
@@ -42,7 +42,7 @@ SAMPLE_S = 0.1
 image's border (a car crosses it in 0.12 s at 38 m/s), shorter costs time."""
 MAX_ROWS = 8_000
 """Rows that are remembered, the latest: minutes of traffic. Chosen: more costs time and memory."""
-JUDGED_AGAIN = 0.25
+JUDGED_AGAIN = 0.5
 """Traffic is judged again when this share of its rows is new. Chosen: larger says it later, smaller
 costs time."""
 JUDGE_S = 2.0
@@ -136,22 +136,45 @@ class TrafficCheck:
         """Whether a finding speaks against trusting what is made of this traffic."""
         return any(found.treatment is Treatment.DOUBTFUL for found in self.findings)
 
-    def add(self, stamp_ns: int, rows: NDArray[np.void]) -> None:
-        """Take one frame of `PIXEL_TRACK_DTYPE`; judge when enough is new."""
-        if stamp_ns - self._sampled_ns < SAMPLE_S * 1e9 or not len(rows):
-            return
-        self._sampled_ns = stamp_ns
-        box = np.column_stack([rows[name] for name in ("x", "y", "width", "height")])
-        use = np.isin(rows["class_id"], VEHICLE_CLASSES) & np.isfinite(box).all(axis=1)
-        rows = rows[use & ((rows["flags"] & FLAG_PREDICTED) == 0)]
-        self._times.append(stamp_ns / 1e9)
-        self._new.append(boxes_as_numbers(stamp_ns / 1e9, rows))
-        self._new_rows += len(rows)
-        known = min(len(self._seen) + self._new_rows, MAX_ROWS)
-        enough = self._new_rows >= JUDGED_AGAIN * known
-        if enough and stamp_ns - self._judged_ns >= JUDGE_S * 1e9:
-            self._judged_ns = stamp_ns
-            self.judge()
+    def add(self, frames: Frames) -> NDArray[np.bool_]:
+        """Take frames of `PIXEL_TRACK_DTYPE`; judge whenever enough is new.
+
+        Returns:
+            (F,) `doubtful` as of each frame.
+        """
+        doubtful = np.full(len(frames), self.doubtful)
+        looked = self._sample(frames)
+        if not looked:
+            return doubtful
+        boxes, first = _vehicles_as_numbers(frames, looked)
+        done = 0
+        for k, frame in enumerate(looked):
+            stamp_ns = int(frames.stamp_ns[frame])
+            self._times.append(stamp_ns / 1e9)
+            new_rows = self._new_rows + first[k + 1] - first[done]
+            known = min(len(self._seen) + new_rows, MAX_ROWS)
+            enough = new_rows >= JUDGED_AGAIN * known
+            if enough and stamp_ns - self._judged_ns >= JUDGE_S * 1e9:
+                self._judged_ns = stamp_ns
+                self._take(boxes[first[done] : first[k + 1]])
+                done = k + 1
+                self.judge()
+                doubtful[frame:] = self.doubtful
+        self._take(boxes[first[done] :])
+        return doubtful
+
+    def _sample(self, frames: Frames) -> list[int]:
+        """Frames with rows, `SAMPLE_S` apart."""
+        some = (frames.offset[1:] > frames.offset[:-1]).nonzero()[0]
+        stamps, looked, k = frames.stamp_ns[some].tolist(), [], 0
+        while (k := bisect_left(stamps, self._sampled_ns + SAMPLE_S * 1e9, k)) < len(stamps):
+            self._sampled_ns = stamps[k]
+            looked.append(int(some[k]))
+        return looked
+
+    def _take(self, boxes: NDArray[np.float64]) -> None:
+        self._new.append(boxes)
+        self._new_rows += len(boxes)
 
     def judge(self) -> tuple[Remark, ...]:
         """The findings on all traffic that is remembered, now."""
@@ -186,3 +209,20 @@ class TrafficCheck:
             self._seen = self._seen[np.searchsorted(times, times[more - 1]) :]
             self._times = self._times[bisect_left(self._times, self._seen[0, TIME]) :]
         self._new, self._new_rows = [], 0
+
+
+def _vehicles_as_numbers(
+    frames: Frames, looked: list[int]
+) -> tuple[NDArray[np.float64], list[int]]:
+    """Observed vehicles (N, 8) of the frames `looked` (K), and where each frame's begin (K + 1)."""
+    count = np.diff(frames.offset)[looked]
+    frame = np.repeat(looked, count)
+    begin = np.cumsum(count) - count
+    row = frames.offset[frame] + np.arange(len(frame)) - np.repeat(begin, count)
+    rows = frames.rows.take(row)
+    use = (rows["flags"] & FLAG_PREDICTED) == 0
+    use &= np.logical_or.reduce([rows["class_id"] == kind for kind in VEHICLE_CLASSES])
+    for name in ("x", "y", "width", "height"):
+        use &= np.isfinite(rows[name])
+    boxes = boxes_as_numbers(frames.stamp_ns[frame[use]] / 1e9, rows.take(use.nonzero()[0]))
+    return boxes, np.append(0, np.cumsum(use))[np.append(begin, len(frame))].tolist()

@@ -146,10 +146,10 @@ GROUND, SHARP = slice(8, 10), 10
 COLUMNS = 11
 
 
-def boxes_as_numbers(time_s: float, rows: NDArray[np.void]) -> Array:
-    """(N, 8) of a frame of `PIXEL_TRACK_DTYPE`: plain numbers are quicker to put together."""
+def boxes_as_numbers(time_s: Array, rows: NDArray[np.void]) -> Array:
+    """(N, 8) of `PIXEL_TRACK_DTYPE` rows at times (N,): plain numbers are quicker to handle."""
     names = ("track_id", "x", "y", "width", "height", "flags", "class_id")
-    return np.column_stack([np.full(len(rows), time_s), *(rows[name] for name in names)])
+    return np.column_stack([time_s, *(rows[name] for name in names)])
 
 
 def on_the_road(boxes: Array, homography: Homography) -> Array:
@@ -255,10 +255,11 @@ def border_finding(
 ) -> Iterator[Remark]:
     """Boxes that fit into the image only if read in another way, or into another image."""
     size = np.array(image_size, dtype=np.float64)
-    box, track_id = traffic.box[traffic.solid], traffic.track_id[traffic.solid]
+    box, track_id = np.ascontiguousarray(traffic.box[traffic.solid].T), traffic.track_id
+    track_id = track_id[traffic.solid]
     if len(np.unique(track_id)) < MIN_TRACKS:
         return
-    if np.mean((box[:, 2:] > box[:, :2]).all(axis=1)) >= CORNERS_SHARE:
+    if np.mean((box[2:] > box[:2]).all(axis=0)) >= CORNERS_SHARE:
         text = "w, h look like the boxes' lower right corner: --columns x1=x,y1=y,x2=w,y2=h"
         yield Remark(Treatment.DOUBTFUL, 0, text)
         return
@@ -282,8 +283,8 @@ def border_finding(
         yield Remark(Treatment.DOUBTFUL, 0, text)
         return
     image = f"{image_size[0]}x{image_size[1]}"
-    outside = ((box[:, :2] < 0.0) | (box[:, :2] > size)).any(axis=1)
-    reach = np.quantile(box[:, :2] + box[:, 2:] / 2, 0.999, axis=0)
+    outside = ((box[:2] < 0.0) | (box[:2] > size[:, None])).any(axis=0)
+    reach = np.quantile(box[:2] + box[2:] / 2, 0.999, axis=1)
     if outside.mean() > OUTSIDE_SHARE:
         text = f"the image is {image}, but boxes reach {reach[0]:.0f}x{reach[1]:.0f}"
         yield Remark(Treatment.DOUBTFUL, 0, text)
@@ -308,27 +309,27 @@ def _size_gain(
         return 0.0
     track_id, box = traffic.track_id[use], traffic.box[use]
     given = _car_size(track_id, box, homography, pose)
-    other = _car_size(track_id, _read_as(box, reading), homography, pose)
+    other = _car_size(track_id, _read_as(box.T, reading).T, homography, pose)
     return 0.0 if given is None or other is None else _misfit(given) - _misfit(other)
 
 
 def _at_border(
     box: Array, track_id: NDArray[np.int32], reading: tuple[float, float, bool], size: Array
 ) -> tuple[int, int]:
-    """Vehicles with a box that ends at the border, and with one that reaches beyond it."""
-    box, near = _read_as(box, reading), TOUCHING * size
-    side = box[:, 2:]
-    low, high = box[:, :2] - side / 2, box[:, :2] + side / 2
-    beyond = ((low < -POKING * side - near) | (high > size + POKING * side + near)).any(axis=1)
-    ends = ((np.abs(low) <= near) | (np.abs(high - size) <= near)).any(axis=1) & ~beyond
+    """Vehicles of boxes (4, N): with one that ends at the border, with one that reaches beyond."""
+    box, size = _read_as(box, reading), size[:, None]
+    side, near = box[2:], TOUCHING * size
+    low, high = box[:2] - side / 2, box[:2] + side / 2
+    beyond = ((low < -POKING * side - near) | (high > size + POKING * side + near)).any(axis=0)
+    ends = ((np.abs(low) <= near) | (np.abs(high - size) <= near)).any(axis=0) & ~beyond
     return len(np.unique(track_id[ends])), len(np.unique(track_id[beyond]))
 
 
 def _read_as(box: Array, reading: tuple[float, float, bool]) -> Array:
-    """Boxes (N, 4) by their middle, of numbers that mean something else."""
+    """Boxes (4, N) by their middle, of numbers that mean something else."""
     right, down, exchanged = reading
-    side = box[:, 3:1:-1] if exchanged else box[:, 2:]
-    return np.hstack((box[:, :2] + np.array((right, down)) * side, side))
+    side = box[3:1:-1] if exchanged else box[2:]
+    return np.concatenate((box[:2] + np.array([[right], [down]]) * side, side))
 
 
 def size_finding(
@@ -446,20 +447,35 @@ def _car_size(
     n = len(box)
     if not n:
         return None
-    size_m, size_cov = np.tile(MEAN_M[0], (n, 1)), np.tile(COVARIANCE[0], (n, 1, 1))
+    size_m, size_cov = np.tile(MEAN_M[0, :, None], n), np.tile(COVARIANCE[0, :, :, None], n)
     heading = np.arctan2(step[:, 1], step[:, 0])
     with np.errstate(all="ignore"):
         fit = fit_vehicles(
-            pose.projection, box[:, :2], box[:, 2:], heading, size_m, size_cov, np.ones(n, np.bool_)
+            pose.projection,
+            box[:, :2].T,
+            box[:, 2:].T,
+            heading,
+            size_m,
+            size_cov,
         )
-        ratio = np.log(box[:, 2:] / fit.side_px)
+        ratio = np.log(box[:, 2:] / fit.side_px.T)
     good = fit.good & np.isfinite(ratio).all(axis=1)
     at = np.flatnonzero(good)
     if not len(at):
         return None
-    tracks = np.split(at, np.flatnonzero(np.diff(track_id[at])) + 1)
-    usual = [np.median(ratio[rows], axis=0) for rows in tracks if len(rows) >= MIN_ROWS]
+    usual = _medians(track_id[at], ratio[at])
     return np.median(usual, axis=0) if len(usual) >= MIN_CARS else None
+
+
+def _medians(track_id: NDArray[np.int32], value: Array) -> Array:
+    """(T, K) medians of values (N, K) of each track that has `MIN_ROWS` of them."""
+    first = np.flatnonzero(np.diff(track_id, prepend=-1))
+    count = np.diff(np.append(first, len(track_id)))
+    first, count = first[count >= MIN_ROWS], count[count >= MIN_ROWS]
+    ordered = [column[np.lexsort((column, track_id))] for column in value.T]
+    return np.column_stack(
+        [(column[first + (count - 1) // 2] + column[first + count // 2]) / 2 for column in ordered]
+    )
 
 
 def _neighbours(track_id: NDArray[np.int32]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

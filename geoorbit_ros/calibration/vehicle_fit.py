@@ -1,4 +1,7 @@
-"""The ground point whose vehicle explains the four edges of an observed box best."""
+"""The ground point whose vehicle explains the four edges of an observed box best.
+
+Arrays hold their components first and the M vehicles last; see `elementwise`.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +10,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.calibration.elementwise import inverse_2x2, solve, total
+
 Array = NDArray[np.float64]
 
-CORNER = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)])
-"""The eight corners in units of length, width and height; the origin is the footprint's centre."""
+CORNER = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)]).T
+"""(3, 8) corners in units of length, width and height; the origin is the footprint's centre."""
 COORDINATE = np.array([0, 1, 0, 1])
 """Left and right edges are columns of the image, top and bottom ones rows."""
+ENDS, FLOOR_ROOF = np.array([-0.5, 0.5])[:, None], np.array([0.0, 1.0])[:, None]
+"""Where a vehicle's corners are along one of its axes."""
 
 
 def on_plane(projection: Array, pixel: Array, z_m: Array) -> tuple[Array, Array]:
@@ -20,50 +27,62 @@ def on_plane(projection: Array, pixel: Array, z_m: Array) -> tuple[Array, Array]
 
     Args:
         projection: (3, 4) local metres to pixels.
-        pixel: (M, 2).
+        pixel: (2, M).
         z_m: (M,) height of each pixel's plane above the road.
 
     Returns:
-        (M, 2) metres, and the inverse-depth scale (M,) there, positive in front of the camera; on
+        (2, M) metres, and the inverse-depth scale (M,) there, positive in front of the camera; on
         the horizon both are infinite or NaN.
     """
-    a = projection[0] - pixel[:, :1] * projection[2]
-    b = projection[1] - pixel[:, 1:] * projection[2]
-    p, q = a[:, 2] * z_m + a[:, 3], b[:, 2] * z_m + b[:, 3]
-    det = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-    xy = np.empty((len(pixel), 2))
-    xy[:, 0] = (a[:, 1] * q - b[:, 1] * p) / det
-    xy[:, 1] = (b[:, 0] * p - a[:, 0] * q) / det
-    depth = xy @ projection[2, :2] + projection[2, 2] * z_m + projection[2, 3]
-    return xy, depth
+    rays = projection[:2, :, None] - pixel[:, None] * projection[2, :, None]
+    (a0, a1), (b0, b1) = rays[:, :2]
+    p, q = rays[:, 2] * z_m + rays[:, 3]
+    xy = np.empty_like(pixel)
+    xy[0], xy[1] = a1 * q - b1 * p, b0 * p - a0 * q
+    xy /= a0 * b1 - a1 * b0
+    return xy, _inverse_depth(projection, xy) + projection[2, 2] * z_m
 
 
-def vehicle_axes(projection: Array, heading: Array, size_m: Array) -> Array:
-    """Homogeneous images (M, 3, 3) of each vehicle's length, width and height, one per column."""
-    axes = np.empty((len(heading), 3, 3))
-    cos, sin = np.cos(heading)[:, None], np.sin(heading)[:, None]
-    east, north, up = projection[:, 0], projection[:, 1], projection[:, 2]
-    axes[:, :, 0] = cos * east + sin * north
-    axes[:, :, 1] = cos * north - sin * east
-    axes[:, :, 2] = up
-    axes *= size_m[:, None, :]
+def _inverse_depth(projection: Array, xy: Array) -> Array:
+    """(M,) third homogeneous coordinate of points (2, M) on the road."""
+    return np.asarray(projection[2, 0] * xy[0] + projection[2, 1] * xy[1] + projection[2, 3])
+
+
+def vehicle_axes(projection: Array, heading: Array) -> Array:
+    """Homogeneous images (3, 3, M) of a metre along each vehicle's length, width and height."""
+    axes = np.empty((3, 3, len(heading)))
+    cos, sin = np.cos(heading), np.sin(heading)
+    east, north = projection[:, 0, None], projection[:, 1, None]
+    axes[0] = cos * east + sin * north
+    axes[1] = cos * north - sin * east
+    axes[2] = projection[:, 2, None]
     return axes
 
 
 def corners(projection: Array, xy: Array, axes: Array) -> tuple[Array, Array]:
-    """Pixels (M, 2, 8) and depths (M, 8) of the corners of vehicles at `xy` (M, 2)."""
-    base = xy @ projection[:, :2].T + projection[:, 3]
-    uvw = (axes.reshape(-1, 3) @ CORNER.T).reshape(-1, 3, 8) + base[:, :, None]
-    return uvw[:, :2] / uvw[:, 2:], uvw[:, 2]
+    """Pixels (2, 8, M) and depths (8, M) of the corners of vehicles at `xy` (2, M).
+
+    Args:
+        projection: (3, 4).
+        xy: (2, M) metres.
+        axes: (3, 3, M) homogeneous images of the length, width and height.
+    """
+    number = xy.shape[1]
+    base = projection[:, 0, None] * xy[0] + projection[:, 1, None] * xy[1] + projection[:, 3, None]
+    rear_front = base[:, None] + ENDS * axes[0][:, None]
+    footprint = rear_front[:, :, None] + (ENDS * axes[1][:, None])[:, None]
+    every = footprint[:, :, :, None] + (FLOOR_ROOF * axes[2][:, None])[:, None, None]
+    uvw = every.reshape(3, 8, number)
+    return uvw[:2] / uvw[2], uvw[2]
 
 
 def edges(uv: Array) -> Array:
-    """Left, top, right, bottom (M, 4) of the boxes round corners (M, 2, 8)."""
-    return np.concatenate((uv.min(axis=2), uv.max(axis=2)), axis=1)
+    """Left, top, right, bottom (4, M) of the boxes round corners (2, 8, M)."""
+    return np.concatenate((uv.min(axis=1), uv.max(axis=1)))
 
 
 def edge_slopes(
-    projection: Array, uv: Array, depth: Array, axes: Array, size_m: Array
+    projection: Array, uv: Array, depth: Array, unit_axes: Array
 ) -> tuple[Array, Array, Array]:
     """How the edges of a vehicle's box move with its position and size.
 
@@ -71,23 +90,21 @@ def edge_slopes(
 
     Args:
         projection: (3, 4).
-        uv: (M, 2, 8) corners in pixels.
-        depth: (M, 8) of the corners.
-        axes: (M, 3, 3) from `vehicle_axes`.
-        size_m: (M, 3) length, width, height that `axes` were made with.
+        uv: (2, 8, M) corners in pixels.
+        depth: (8, M) of the corners.
+        unit_axes: (3, 3, M) from `vehicle_axes`.
 
     Returns:
-        Edges (M, 4), left, top, right, bottom; their slopes with x and y (M, 4, 2); their slopes
-        with length, width and height (M, 4, 3). Pixels, pixels per metre.
+        Edges (4, M), left, top, right, bottom; their slopes with x and y (4, 2, M); their slopes
+        with length, width and height (4, 3, M). Pixels, pixels per metre.
     """
-    touching = np.concatenate((uv.argmin(axis=2), uv.argmax(axis=2)), axis=1)
-    row = np.arange(len(uv))[:, None]
-    edge = uv[row, COORDINATE, touching]
-    scale = 1.0 / depth[row, touching][:, :, None]
-    moved = axes[:, COORDINATE] - edge[:, :, None] * axes[:, 2:]
-    with_position = projection[COORDINATE, :2] - edge[:, :, None] * projection[2, :2]
-    with_size = CORNER[touching] * moved / size_m[:, None, :]
-    return edge, with_position * scale, with_size * scale
+    edge, number = edges(uv), uv.shape[2]
+    touching = np.concatenate((uv.argmin(axis=1), uv.argmax(axis=1)))
+    scale = (1.0 / depth.reshape(-1).take(touching * number + np.arange(number)))[:, None]
+    with_position = projection[COORDINATE, :2, None] - edge[:, None] * projection[2, :2, None]
+    with_size = unit_axes[:, COORDINATE] - edge * unit_axes[:, 2:]
+    with_size *= CORNER.take(touching, axis=1)
+    return edge, with_position * scale, with_size.transpose(1, 0, 2) * scale
 
 
 EDGE_SIGMA_PX = 1.1
@@ -112,15 +129,15 @@ STEPS = 2
 
 @dataclass(frozen=True, slots=True)
 class VehicleFit:
-    """Ground points of one frame's boxes.
+    """Ground points of boxes.
 
     Attributes:
-        xy: (M, 2) centre of the footprint, metres.
-        first_xy: (M, 2) first guess, from the box's centre and the vehicle's height alone.
-        noise: (M, 2, 2) covariance from frame-to-frame noise alone, m^2.
-        covariance: (M, 2, 2) with the unknown size and shape of the vehicle, m^2.
-        side_px: (M, 2) width and height of the box that the vehicle would have.
-        side_slope: (M, 2, 3) their slopes with length, width and height, pixels per metre.
+        xy: (2, M) centre of the footprint, metres.
+        first_xy: (2, M) first guess, from the box's centre and the vehicle's height alone.
+        noise: (2, 2, M) covariance from frame-to-frame noise alone, m^2.
+        covariance: (2, 2, M) with the unknown size and shape of the vehicle, m^2.
+        side_px: (2, M) width and height of the box that the vehicle would have.
+        side_slope: (2, 3, M) their slopes with length, width and height, pixels per metre.
         good: (M,) False where the vehicle would reach behind the camera or beyond the horizon;
             covariances are NaN there and everything else is zero.
     """
@@ -141,7 +158,6 @@ def fit_vehicles(
     heading: Array,
     size_m: Array,
     size_cov: Array,
-    solid: NDArray[np.bool_],
 ) -> VehicleFit:
     """Maximum a posteriori ground points, given what is known of each vehicle's size.
 
@@ -156,78 +172,93 @@ def fit_vehicles(
 
     Args:
         projection: (3, 4) local metres to pixels.
-        centre: (M, 2) of the boxes, pixels.
-        side: (M, 2) width and height, pixels.
+        centre: (2, M) of the boxes, pixels.
+        side: (2, M) width and height, pixels.
         heading: (M,) radians from east, NaN where unknown.
-        size_m: (M, 3) length, width, height.
-        size_cov: (M, 3, 3) covariance of `size_m`.
-        solid: (M,) False where the pixel already is the ground point.
+        size_m: (3, M) length, width, height.
+        size_cov: (3, 3, M) covariance of `size_m`.
     """
-    shaped = solid & ~np.isnan(heading)
-    axes = vehicle_axes(projection, np.where(shaped, heading, 0.0), size_m)
+    shaped = ~np.isnan(heading)
+    unit = vehicle_axes(projection, np.where(shaped, heading, 0.0))
     if not shaped.all():
-        axes[~shaped, :, :2] = 0.0
-        axes[~solid] = 0.0
-    first, ahead = on_plane(projection, centre, np.where(solid, size_m[:, 2] / 2, 0.0))
+        unit[:2, :, ~shaped] = 0.0
+    axes = unit * size_m[:, None]
+    first, ahead = on_plane(projection, centre, size_m[2] / 2)
     uv, depth = corners(projection, first, axes)
-    edge, with_position, with_size = edge_slopes(projection, uv, depth, axes, size_m)
+    edge, with_position, with_size = edge_slopes(projection, uv, depth, unit)
 
-    size_error = with_size @ size_cov @ with_size.transpose(0, 2, 1)
-    gain, covariance, noise = _solution(side, with_position, size_error, shaped)
+    gain, covariance, noise = _solution(side, with_position, with_size, size_cov, shaped)
     half, xy = side / 2, first
-    measured = np.concatenate((centre - half, centre + half), axis=1)
+    measured = np.concatenate((centre - half, centre + half))
     for step in range(STEPS):
         if step > 0:
             edge = edges(corners(projection, xy, axes)[0])
-        xy = xy + (gain * (measured - edge)[:, None, :]).sum(axis=2)
-    reached = xy @ projection[2, :2] + projection[2, 3]
-    good = (ahead > 0) & (depth.min(axis=1) > 0) & (reached > 0)
-    good &= np.isfinite(reached + covariance[:, 0, 0] + covariance[:, 1, 1])
-    side_px, side_slope = edge[:, 2:] - edge[:, :2], with_size[:, 2:] - with_size[:, :2]
+        xy = xy + total(gain * (measured - edge)[:, None])
+    reached = _inverse_depth(projection, xy)
+    good = (ahead > 0) & (depth.min(axis=0) > 0) & (reached > 0)
+    good &= np.isfinite(reached + covariance[0, 0] + covariance[1, 1])
+    side_px, side_slope = edge[2:] - edge[:2], with_size[2:] - with_size[:2]
     found = VehicleFit(xy, first, noise, covariance, side_px, side_slope, good)
     if not good.all():
         _blank(found)
     return found
 
 
+def fit_points(projection: Array, pixel: Array, side: Array) -> VehicleFit:
+    """Ground points of pixels that already show the road, as exact as the middle of a box.
+
+    Args:
+        projection: (3, 4) local metres to pixels.
+        pixel: (2, M).
+        side: (2, M) width and height of what was seen there, pixels; zero where it isn't known.
+    """
+    number = pixel.shape[1]
+    xy, depth = on_plane(projection, pixel, np.zeros(number))
+    slope = (projection[:2, :2, None] - pixel[:, None] * projection[2, :2, None]) / depth
+    by_pixel = inverse_2x2(slope).transpose(1, 0, 2)
+    variance = (EDGE_SIGMA_PX**2 + EDGE_SIGMA_RATIO**2 * side**2) / 2
+    noise = total((by_pixel * variance[:, None])[:, :, None] * by_pixel[:, None])
+    good = (depth > 0) & np.isfinite(noise[0, 0] + noise[1, 1])
+    nothing, no_slope = np.zeros((2, number)), np.zeros((2, 3, number))
+    found = VehicleFit(xy, xy, noise, noise, nothing, no_slope, good)
+    if not good.all():
+        _blank(found)
+    return found
+
+
 def _solution(
-    side: Array, with_position: Array, size_error: Array, shaped: NDArray[np.bool_]
+    side: Array, with_position: Array, with_size: Array, size_cov: Array, shaped: NDArray[np.bool_]
 ) -> tuple[Array, Array, Array]:
     """Least squares of two unknowns from four edges.
 
     Args:
-        side: (M, 2) width and height of the boxes, pixels.
-        with_position: (M, 4, 2) slopes of the edges with the position.
-        size_error: (M, 4, 4) covariance of the edges from the unknown size.
+        side: (2, M) width and height of the boxes, pixels.
+        with_position: (4, 2, M) slopes of the edges with the position.
+        with_size: (4, 3, M) slopes of the edges with the size.
+        size_cov: (3, 3, M) covariance of the size.
         shaped: (M,) False where only the box's centre counts.
 
     Returns:
-        (M, 2, 4) metres per pixel of each edge; (M, 2, 2) covariance of the position, of all errors
+        (4, 2, M) metres per pixel of each edge; (2, 2, M) covariance of the position, of all errors
         and of the frame-to-frame noise alone.
     """
-    square = np.concatenate((side, side), axis=1) ** 2
+    square = np.concatenate((side, side)) ** 2
     white = EDGE_SIGMA_PX**2 + EDGE_SIGMA_RATIO**2 * square
-    spread = size_error.copy()
-    spread.reshape(-1, 16)[:, ::5] += white + SHAPE_SIGMA_RATIO**2 * square
-    spread[~shaped] += SIDES
-    weighted = with_position.transpose(0, 2, 1) @ np.linalg.inv(spread)
-    covariance = inverse_2x2(weighted @ with_position)
-    gain = covariance @ weighted
-    return gain, covariance, (gain * white[:, None, :]) @ gain.transpose(0, 2, 1)
+    by_size = total(with_size.transpose(1, 0, 2)[:, :, None] * size_cov[:, None])
+    spread = total(by_size.transpose(1, 0, 2)[:, :, None] * with_size.transpose(1, 0, 2)[:, None])
+    spread.reshape(16, -1)[::5] += white + SHAPE_SIGMA_RATIO[:, None] ** 2 * square
+    if not shaped.all():
+        spread[:, :, ~shaped] += SIDES[:, :, None]
+    weighted = solve(spread, with_position)
+    covariance = inverse_2x2(total(weighted[:, :, None] * with_position[:, None]))
+    gain = weighted[:, :1] * covariance[0] + weighted[:, 1:] * covariance[1]
+    noise = total((gain * white[:, None])[:, :, None] * gain[:, None])
+    return gain, covariance, noise
 
 
 def _blank(fit: VehicleFit) -> None:
     """Replace what came out for vehicles that are not `good`, as `VehicleFit` says."""
     for values in (fit.xy, fit.first_xy, fit.side_px, fit.side_slope):
-        values[~fit.good] = 0.0
+        values[..., ~fit.good] = 0.0
     for values in (fit.noise, fit.covariance):
-        values[~fit.good] = np.nan
-
-
-def inverse_2x2(matrix: Array) -> Array:
-    """Inverses of matrices (M, 2, 2); infinite for singular ones."""
-    inverse = np.empty_like(matrix)
-    inverse[:, 0, 0], inverse[:, 1, 1] = matrix[:, 1, 1], matrix[:, 0, 0]
-    inverse[:, 0, 1], inverse[:, 1, 0] = -matrix[:, 0, 1], -matrix[:, 1, 0]
-    determinant = matrix[:, 0, 0] * matrix[:, 1, 1] - matrix[:, 0, 1] * matrix[:, 1, 0]
-    return np.asarray(inverse / determinant[:, None, None])
+        values[..., ~fit.good] = np.nan

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.calibration.elementwise import solve, total
+
 Array = NDArray[np.float64]
 
 CAR, MOTORCYCLE, BUS, TRUCK = range(4)
@@ -78,90 +80,74 @@ DIM, COV, CLASS, INFO, VECTOR = (
     slice(16, 25),
     slice(25, 28),
 )
-"""Columns of the filter's table: size, its covariance, votes by class, information, its vector."""
-TIME, COLUMNS = 28, 29
-"""Columns of the filter's table, and their number."""
+"""Rows of the filter's state: size, its covariance, votes by class, information, its vector."""
+TIME, ROWS = 28, 29
+"""Rows of the filter's state, and their number."""
+PRIOR_VECTOR = (PRECISION * MEAN_M[:, None]).sum(axis=2)
+"""What a group's typical size adds to the vector."""
 
 
-class SizeFilter:
-    """Recursive least squares on (length, width, height), one 3x3 system per slot.
+def start_sizes(
+    state: Array, track: NDArray[np.intp], time_s: Array, group: NDArray[np.int64]
+) -> None:
+    """Begin with the typical size of the group for new vehicles.
+
+    Args:
+        state: (`ROWS`, M), changed in place.
+        track: (K,) columns of the new vehicles.
+        time_s: (K,) when they were first seen.
+        group: (K,) size group.
+    """
+    state[:, track] = 0.0
+    state[DIM, track] = MEAN_M[group].T
+    state[COV, track] = COVARIANCE[group].reshape(-1, 9).T
+    state[TIME, track] = time_s
+
+
+def learn_sizes(
+    state: Array,
+    time_s: Array,
+    group: NDArray[np.int64],
+    score: Array,
+    side_px: Array,
+    predicted_px: Array,
+    slope: Array,
+    usable: NDArray[np.bool_],
+) -> None:
+    """Recursive least squares on (length, width, height), one 3x3 system per vehicle.
 
     The sides of the box are linear in the three dimensions for a given position and heading
-    (`box_geometry.edge_slopes`). The class's typical size is the prior; the class is the one
+    (`vehicle_fit.edge_slopes`). The class's typical size is the prior; the class is the one
     with the largest sum of scores so far.
+
+    Args:
+        state: (`ROWS`, M), one column per vehicle, changed in place.
+        time_s: (M,) time of each box, from any epoch.
+        group: (M,) size group that the detector says.
+        score: (M,) how sure it is.
+        side_px: (2, M) width and height of the observed box.
+        predicted_px: (2, M) the same for the vehicle of the size so far.
+        slope: (2, 3, M) d(side) / d(length, width, height), pixels per metre.
+        usable: (M,) False where the box says nothing about the size.
     """
+    state[CLASS.start + group, np.arange(len(group))] += np.maximum(score, 1e-3)
+    elapsed = time_s - state[TIME]
+    state[TIME] = time_s
 
-    def __init__(self, capacity: int) -> None:
-        self._state = np.zeros((capacity, COLUMNS))
+    variance = BOX_SIGMA_PX**2 + (BOX_SIGMA_RATIO * side_px) ** 2
+    residual = side_px - predicted_px
+    surprise = np.sqrt(residual**2 / variance)
+    weight = np.where(usable, np.minimum(1.0, elapsed / CORRELATION_S), 0.0)
+    weight = weight * np.minimum(1.0, HUBER / np.maximum(surprise, 1e-9)) / variance
+    weighted = slope * weight[:, None]
+    state[INFO] += total(slope[:, :, None] * weighted[:, None]).reshape(9, -1)
+    target = residual + total(slope.transpose(1, 0, 2) * state[DIM, None])
+    state[VECTOR] += total(target[:, None] * weighted)
 
-    def reserve(self, capacity: int) -> None:
-        """Make room for that many slots."""
-        if capacity <= len(self._state):
-            return
-        grown = np.zeros((capacity, self._state.shape[1]))
-        grown[: len(self._state)] = self._state
-        self._state = grown
-
-    def enter(
-        self,
-        slot: NDArray[np.intp],
-        fresh: NDArray[np.bool_],
-        time_s: float,
-        class_id: NDArray[np.int32],
-    ) -> tuple[Array, Array]:
-        """Size (M, 3), metres, and its covariance (M, 3, 3), as known before this frame."""
-        if fresh.any():
-            group = GROUP[class_id[fresh] & 255]
-            new = np.zeros((len(group), COLUMNS))
-            new[:, DIM] = MEAN_M[group]
-            new[:, TIME] = time_s
-            new[:, COV] = COVARIANCE[group].reshape(-1, 9)
-            self._state[slot[fresh]] = new
-        s = self._state[slot]
-        return s[:, DIM], s[:, COV].reshape(-1, 3, 3)
-
-    def update(
-        self,
-        slot: NDArray[np.intp],
-        time_s: float,
-        rows: NDArray[np.void],
-        side_px: Array,
-        predicted_px: Array,
-        slope: Array,
-        usable: NDArray[np.bool_],
-    ) -> None:
-        """Take one frame's boxes.
-
-        Args:
-            slot: (M,) state row of each box.
-            time_s: Time of the frame, from any epoch.
-            rows: (M,) `PIXEL_TRACK_DTYPE`, for class and score.
-            side_px: (M, 2) width and height of the observed box.
-            predicted_px: (M, 2) the same for the vehicle as `enter` returned it.
-            slope: (M, 2, 3) d(side) / d(length, width, height), pixels per metre.
-            usable: (M,) False where the box says nothing about the size.
-        """
-        s = self._state[slot]
-        vote = CLASS.start + GROUP[rows["class_id"] & 255]
-        s[np.arange(len(s)), vote] += np.maximum(rows["score"], 1e-3)
-        elapsed = time_s - s[:, TIME]
-        s[:, TIME] = time_s
-
-        variance = BOX_SIGMA_PX**2 + (BOX_SIGMA_RATIO * side_px) ** 2
-        residual = side_px - predicted_px
-        surprise = np.sqrt(residual**2 / variance)
-        weight = np.where(usable, np.minimum(1.0, elapsed / CORRELATION_S), 0.0)[:, None]
-        weight = weight * np.minimum(1.0, HUBER / np.maximum(surprise, 1e-9)) / variance
-        weighted = slope * weight[:, :, None]
-        s[:, INFO] += (np.swapaxes(slope, 1, 2) @ weighted).reshape(-1, 9)
-        target = residual + (slope @ s[:, DIM, None])[:, :, 0]
-        s[:, VECTOR] += (target[:, None, :] @ weighted)[:, 0]
-
-        prior = np.argmax(s[:, CLASS], axis=1)
-        precision = PRECISION[prior]
-        covariance = np.linalg.inv(s[:, INFO].reshape(-1, 3, 3) + precision)
-        vector = s[:, VECTOR] + (precision @ MEAN_M[prior][:, :, None])[:, :, 0]
-        size = (covariance @ vector[:, :, None])[:, :, 0]
-        s[:, DIM] = np.clip(size, LOWEST_M[prior], HIGHEST_M[prior])
-        s[:, COV] = covariance.reshape(-1, 9)
-        self._state[slot] = s
+    prior = state[CLASS].argmax(axis=0)
+    precision = state[INFO].reshape(3, 3, -1) + PRECISION.transpose(1, 2, 0)[:, :, prior]
+    covariance = solve(precision, np.eye(3)[:, :, None])
+    vector = state[VECTOR] + PRIOR_VECTOR[prior].T
+    size = total(covariance * vector[:, None])
+    state[DIM] = np.clip(size, LOWEST_M[prior].T, HIGHEST_M[prior].T)
+    state[COV] = covariance.reshape(9, -1)

@@ -25,14 +25,21 @@ from geoorbit_ros.cli.resume import DetectionRun
 from geoorbit_ros.core.errors import NoTrafficError
 from geoorbit_ros.core.input_report import InputReport, Treatment
 from geoorbit_ros.core.lanes import LaneMap
-from geoorbit_ros.core.tables import FLAG_PREDICTED, PIXEL_TRACK_DTYPE, Frames, one_class_each
+from geoorbit_ros.core.tables import (
+    FLAG_PREDICTED,
+    PIXEL_TRACK_DTYPE,
+    Frames,
+    join_frames,
+    one_class_each,
+    one_frame,
+)
 from geoorbit_ros.detection.detector import doubt_of
 from geoorbit_ros.detection.view_watch import PERIOD_S, ViewChanges
 from geoorbit_ros.lanes.confidence import unconfirmed
 from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.lanes.geojson import write_lanes
 from geoorbit_ros.lanes.mapping.mapper import DEFAULT_UPDATE_PERIOD_S, LaneMapper
-from geoorbit_ros.lanes.pipeline import StampedRows, note_other_classes
+from geoorbit_ros.lanes.pipeline import note_other_classes, project_blocks
 from geoorbit_ros.markings.fusion import follow_paint
 from geoorbit_ros.markings.road_image import SPACING_S, RoadBackground
 from geoorbit_ros.report.image_overlay import ImageOverlay, write_image
@@ -110,8 +117,8 @@ class CameraRun:
 
     def ground_tracks(
         self, images: Iterable[StampedImage], video: Path | None = None, fps: float = 25.0
-    ) -> Iterator[StampedRows]:
-        """Stamp and `TRACK_DTYPE` rows of every image.
+    ) -> Iterator[Frames]:
+        """Frames of `TRACK_DTYPE`, one for every image.
 
         Args:
             images: In time order.
@@ -150,7 +157,7 @@ class CameraRun:
                 ground = projector.project(seen.stamp_ns, seen.tracks)
                 if writer:
                     writer.write(self._annotated(overlay, seen, ground))
-                yield seen.stamp_ns, ground
+                yield one_frame(seen.stamp_ns, ground)
 
     def longest_view(self) -> tuple[int, int, NDArray[np.uint8], RoadBackground]:
         """First and last stamp of the longest time with one view, a picture of it, its road."""
@@ -163,12 +170,11 @@ class CameraRun:
         last_ns = edges[k + 1] - 1 - spare_ns
         return edges[k], last_ns, self.pictures[k], self.backgrounds[k]
 
-    def ground_tracks_again(self, first_ns: int, last_ns: int) -> Iterator[StampedRows]:
-        """Stamp and `TRACK_DTYPE` rows of the images of one view, already seen."""
-        self.projector = projector = BoxProjector(self.homography, self.image_size)
-        for stamp_ns, _, tracks in self.seen:
-            if first_ns <= stamp_ns <= last_ns:
-                yield stamp_ns, projector.project(stamp_ns, tracks)
+    def ground_tracks_again(self, first_ns: int, last_ns: int) -> Iterator[Frames]:
+        """Frames of `TRACK_DTYPE` of the images of one view, already seen."""
+        self.projector = BoxProjector(self.homography, self.image_size)
+        seen = [(ns, tracks) for ns, _, tracks in self.seen if first_ns <= ns <= last_ns]
+        return project_blocks(join_frames(seen), self.projector)
 
     def settle_classes(self) -> None:
         """Give each track the one class that all of its images together say."""
@@ -182,10 +188,8 @@ class CameraRun:
     def track_frames(self) -> Frames:
         """Observed tracks, of images that have any: predictions have no place in `tracks.csv`."""
         kept = [(s, t[(t["flags"] & FLAG_PREDICTED) == 0]) for s, _, t in self.seen]
-        kept = [(stamp_ns, rows) for stamp_ns, rows in kept if len(rows)]
-        offset = np.cumsum([0, *(len(rows) for _, rows in kept)], dtype=np.int64)
-        rows = np.concatenate([np.empty(0, PIXEL_TRACK_DTYPE), *(rows for _, rows in kept)])
-        return Frames(np.array([s for s, _ in kept], dtype=np.int64), offset, rows)
+        some = [(stamp_ns, rows) for stamp_ns, rows in kept if len(rows)]
+        return join_frames(some)
 
     def _annotated(
         self, overlay: ImageOverlay, seen: TrackedImage, ground: NDArray[np.void]
@@ -268,7 +272,7 @@ class CameraJob:
     def _mapper(self) -> WatchedMapper:
         return WatchedMapper(make_estimator(self.estimator), update_period_s=self.update_period_s)
 
-    def _lanes(self, tracks: Iterator[StampedRows], place: str) -> LaneMap:
+    def _lanes(self, tracks: Iterator[Frames], place: str) -> LaneMap:
         """The lanes of the tracks; an empty map without traffic."""
         run, self.nothing = self.run, ""
         try:

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from geoorbit_ros.core.lanes import LaneMap
     from geoorbit_ros.core.tables import Frames
     from geoorbit_ros.lanes.mapping.mapper import LaneMapper
-    from geoorbit_ros.lanes.pipeline import StampedRows
     from geoorbit_ros.roadnet.driving_side import Side
     from geoorbit_ros.storage.tracks.cleaning import ReadOptions
 
@@ -251,7 +250,7 @@ class CameraInput:
         traffic = self.projector.reports(str(self.source))
         return (self.input_report, *traffic, *self.image_reports)
 
-    def find_lanes(self, tracks: Iterable[StampedRows], mapper: LaneMapper) -> LaneMap:
+    def find_lanes(self, tracks: Iterable[Frames], mapper: LaneMapper) -> LaneMap:
         """See `find_lanes`."""
         return find_lanes(tracks, mapper, str(self.source), lambda: self.projector)
 
@@ -266,17 +265,17 @@ class CameraInput:
         self.image_reports.append(report)
         return found, image
 
-    def ground_tracks(self) -> Iterator[StampedRows]:
-        """Ground tracks frame by frame, under a progress bar."""
+    def ground_tracks(self) -> Iterator[Frames]:
+        """Ground tracks in blocks, under a progress bar."""
         from geoorbit_ros.cli.console import track
-        from geoorbit_ros.lanes.pipeline import project_frames
+        from geoorbit_ros.lanes.pipeline import BLOCK_ROWS, project_blocks
 
-        tracks = project_frames(self.frames, self.projector)
-        return track(tracks, "finding lanes", total=len(self.frames))
+        blocks = project_blocks(self.frames, self.projector)
+        return track(blocks, "finding lanes", total=1 + len(self.frames.rows) // BLOCK_ROWS)
 
 
 def find_lanes(
-    tracks: Iterable[StampedRows],
+    tracks: Iterable[Frames],
     mapper: LaneMapper,
     place: str,
     projector: Callable[[], BoxProjector | None],
@@ -284,7 +283,7 @@ def find_lanes(
     """The lanes of all tracks, none of them confirmed where the traffic speaks against the inputs.
 
     Args:
-        tracks: Frames of `TRACK_DTYPE` rows in time order.
+        tracks: Frames of `TRACK_DTYPE` in time order.
         mapper: A mapper that has seen no frame yet.
         place: Where the tracks came from, for the error.
         projector: What made the rows, asked for when all have been seen; None: there were none.
@@ -293,10 +292,10 @@ def find_lanes(
         NoTrafficError: No lane can be seen; it says what speaks against the inputs.
     """
     from geoorbit_ros.lanes.confidence import unconfirmed
-    from geoorbit_ros.lanes.pipeline import map_lanes
+    from geoorbit_ros.lanes.pipeline import map_blocks
 
     try:
-        lane_map = map_lanes(tracks, mapper, place)
+        lane_map = map_blocks(tracks, mapper, place)
     except NoTrafficError as error:
         if (made := projector()) is None:
             raise
@@ -341,7 +340,6 @@ def load_camera(
     """
     from geoorbit_ros.calibration.box_projector import BoxProjector
     from geoorbit_ros.cli.console import status
-    from geoorbit_ros.cli.images import first_view
     from geoorbit_ros.lanes.pipeline import note_other_classes
 
     source = _source(tracks, bag, calibration, out)
@@ -349,6 +347,8 @@ def load_camera(
     with status(f"reading {source}"):
         name, topic, frames, report = _boxes(source, bag is not None, camera_id, options)
         if image and not image_size:
+            from geoorbit_ros.cli.images import first_view
+
             height, width = first_view(image).shape[:2]
             seen = (width, height)
             if seen != report.image_size and _reach_within(frames, seen):

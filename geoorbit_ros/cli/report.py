@@ -35,7 +35,10 @@ if TYPE_CHECKING:
 
     from geoorbit_ros.core.lanes import Lane, LaneMap
     from geoorbit_ros.report.recording import Recording
+    from geoorbit_ros.report.traffic.content import TrafficContent
 
+INTERVAL_S = 900
+"""Fifteen minutes, as `geoorbit traffic` has by default."""
 MAX_STRETCH = 0.01
 """An image of the same view in another size has these proportions, up to rounding."""
 
@@ -65,7 +68,7 @@ def report(
     classes: ClassesOption = "coco",
     strict: StrictOption = False,
 ) -> None:
-    """Write one HTML page with figures: vehicle paths, lanes over them, widths, confidence.
+    """Write one HTML page with figures: vehicle paths, lanes, widths, confidence, traffic.
 
     The page needs no other file and no network. Without --lanes the lanes are found as
     [bold]geoorbit lanes[/bold] finds them.
@@ -142,6 +145,8 @@ def save_report(
         image_size=camera.image_size,
         method=method,
     )
+    counted = lane_map.lanes and recording.frame_count
+    traffic = _traffic(camera, lane_map, recording) if counted else None
     content = ReportInput(
         camera.camera_id,
         lane_map,
@@ -152,9 +157,27 @@ def save_report(
         truth,
         camera.reports(),
         image,
+        traffic,
     )
     with atomic_output(out) as path:
         write_report(path, content)
+
+
+def _traffic(camera: CameraInput, lane_map: LaneMap, recording: Recording) -> TrafficContent:
+    """What drove in the lanes, as `geoorbit traffic` counts it by default."""
+    from geoorbit_ros.cli.console import status
+    from geoorbit_ros.cli.inputs import time_zone
+    from geoorbit_ros.report.traffic.content import traffic_content
+    from geoorbit_ros.traffic.class_schemes import SCHEMES
+    from geoorbit_ros.traffic.count import record
+    from geoorbit_ros.traffic.counter import TrafficCounter
+    from geoorbit_ros.traffic.interval_clock import IntervalClock, usual_gap_s
+
+    counter = TrafficCounter(lane_map.lanes, camera.homography)
+    clock = IntervalClock(INTERVAL_S, time_zone(None))
+    with status("counting vehicles"):
+        recorded = record(counter, [recording.frames()], usual_gap_s(camera.frames))
+        return traffic_content(camera.camera_id, recorded, SCHEMES["coco"], clock, recording.frames)
 
 
 def describe_method(estimator: str, update_period_s: float) -> str:

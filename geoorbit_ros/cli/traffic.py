@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -41,48 +41,60 @@ if TYPE_CHECKING:
     from geoorbit_ros.traffic.count import Recorded
     from geoorbit_ros.traffic.interval_clock import IntervalClock
 
+_UNIT_S = {"s": 1, "min": 60, "h": 3600, "d": 86_400}
+
+
+OutOption = Annotated[Path, typer.Option("--out", help="Folder for the files; new or empty.")]
+PointsOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--calibration",
+        help="Control points: a CSV with pixel_x, pixel_y, latitude, longitude. With --database it "
+        "only says how sure speeds are.",
+    ),
+]
+DatabaseOption = Annotated[
+    Path | None, typer.Option("--database", help="Ground tracks: the recorder's SQLite file.")
+]
+LanesOption = Annotated[
+    Path | None, typer.Option("--lanes", help="Count on these lanes instead of finding them.")
+]
+IntervalOption = Annotated[
+    str, typer.Option("--interval", help="Length of intervals: 30s, 15min, 1h, 1d.")
+]
+TimezoneOption = Annotated[
+    str | None,
+    typer.Option(
+        "--timezone",
+        metavar="ZONE",
+        help="Of the intervals, as Europe/Berlin; default: this machine's.",
+    ),
+]
+SchemeOption = Annotated[
+    str,
+    typer.Option("--class-scheme", help="Vehicle classes: coco, fhwa3, tls5+1 or a YAML file."),
+]
+
 RoadMapOption = Annotated[
     Path | None,
     typer.Option(
         "--map",
         metavar="AREA.osm|NET.net.xml",
-        help="Also write the counts as SUMO's tools read them, on this map: OUT/sumo.",
+        help="Also write the traffic as SUMO and its tools read it, on this map: OUT/sumo.",
     ),
 ]
-_UNIT_S = {"s": 1, "min": 60, "h": 3600, "d": 86_400}
 
 
 def traffic(
-    out: Annotated[Path, typer.Option("--out", help="Folder for the files; new or empty.")],
-    calibration: Annotated[
-        Path | None,
-        typer.Option(
-            "--calibration",
-            help="Control points: a CSV with pixel_x, pixel_y, latitude, longitude. With "
-            "--database it only says how sure speeds are.",
-        ),
-    ] = None,
+    out: OutOption,
+    calibration: PointsOption = None,
     tracks: TracksOption = None,
     bag: BagOption = None,
-    database: Annotated[
-        Path | None, typer.Option("--database", help="Ground tracks: the recorder's SQLite file.")
-    ] = None,
-    lanes: Annotated[
-        Path | None, typer.Option("--lanes", help="Count on these lanes instead of finding them.")
-    ] = None,
-    interval: Annotated[
-        str, typer.Option("--interval", help="Length of intervals: 30s, 15min, 1h, 1d.")
-    ] = "15min",
-    timezone: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ZONE", help="Of the intervals, as Europe/Berlin; default: this machine's."
-        ),
-    ] = None,
-    class_scheme: Annotated[
-        str,
-        typer.Option("--class-scheme", help="Vehicle classes: coco, fhwa3, tls5+1 or a YAML file."),
-    ] = "coco",
+    database: DatabaseOption = None,
+    lanes: LanesOption = None,
+    interval: IntervalOption = "15min",
+    timezone: TimezoneOption = None,
+    class_scheme: SchemeOption = "coco",
     road_map: RoadMapOption = None,
     camera_id: CameraIdOption = None,
     estimator: EstimatorOption = DEFAULT_ESTIMATOR,
@@ -98,21 +110,19 @@ def traffic(
 ) -> None:
     """Count vehicles in their lanes: volumes, speeds, headways, movements.
 
-    Into the folder go vehicles.csv (a row per vehicle and lane), intervals.csv (a row per interval,
-    lane and class), movements.csv (from which lane to which), the same as Parquet, and
-    lanes.geojson. Nobody draws a line: the lanes are those of [bold]geoorbit lanes[/bold].
-    With --map, OUT/sumo has the traffic as a scenario that SUMO runs, and counts with bounds, turns
-    and detectors for its routeSampler and flowrouter.
+    Into the folder go report.html (tables and pictures), vehicles.csv (a row per vehicle and lane),
+    intervals.csv (a row per interval, lane and class), movements.csv (from which lane to which),
+    the same as Parquet, and lanes.geojson. Nobody draws a line: the lanes are those of
+    [bold]geoorbit lanes[/bold]. With --map, OUT/sumo has the traffic as a scenario that SUMO runs,
+    and counts with bounds, turns and detectors for its routeSampler and flowrouter.
 
     Example: [bold]geoorbit traffic --tracks tracks.csv --calibration calibration.csv
     --interval 5min --out traffic[/bold]
     """
-    from geoorbit_ros.cli.console import print_remarks, say
     from geoorbit_ros.scenes.output import check_new_folder
     from geoorbit_ros.storage.atomic import atomic_output
 
-    clock = clock_of(interval, timezone)
-    scheme = _scheme(class_scheme)
+    clock, scheme = clock_of(interval, timezone), _scheme(class_scheme)
     check_new_folder(out, overwrite=force)
     if database is not None:
         if tracks or bag:
@@ -130,11 +140,9 @@ def traffic(
         folder.mkdir()
         recorded = source.count()
         _write(folder, source, recorded, scheme, clock)
+        _write_page(folder / "report.html", source, recorded, scheme, clock)
         said = _write_for_sumo(folder / "sumo", road_map, source, recorded, clock)
-    _tell(source, recorded, scheme)
-    for sentence in said:
-        say(sentence)
-    print_remarks(*source.reports())
+    _tell(source, recorded, scheme, said)
     _say_where(out, recorded, clock)
 
 
@@ -148,9 +156,12 @@ class TrafficSource:
         write_lanes: Writes them to a file.
         datum: Origin of the map frame of both.
         plane: The calibration, if it is known.
-        blocks: The ground tracks from one stamp on and before another; None: all.
+        blocks: The ground tracks.
+        frames_between: Those from one stamp to another, both included.
+        frame_count: How many frames there are.
         max_gap_s: How long a pause between frames may be.
         reports: What is to be said about the input.
+        files: Names and values for the report: where tracks and lanes came from.
     """
 
     camera_id: str
@@ -158,20 +169,30 @@ class TrafficSource:
     write_lanes: Callable[[Path], None]
     datum: Datum
     plane: RoadPlane | None
-    blocks: Callable[[int | None, int | None], Iterator[Frames]]
+    blocks: Callable[[], Iterator[Frames]]
+    frames_between: Callable[[int, int], Frames]
+    frame_count: int
     max_gap_s: float
     reports: Callable[[], tuple[InputReport, ...]]
+    files: tuple[tuple[str, str], ...] = ()
 
-    def count(self, begin_ns: int | None = None, end_ns: int | None = None) -> Recorded:
-        """Count all vehicles, or those from one stamp on and before another."""
+    def count(self) -> Recorded:
+        """Count all vehicles, under a progress bar."""
+        from geoorbit_ros.cli.console import shown_progress
         from geoorbit_ros.traffic.count import record
         from geoorbit_ros.traffic.counter import TrafficCounter
 
-        return record(
-            TrafficCounter(self.lane_map.lanes, self.plane),
-            self.blocks(begin_ns, end_ns),
-            self.max_gap_s,
-        )
+        counter = TrafficCounter(self.lane_map.lanes, self.plane)
+        with shown_progress() as tell:
+
+            def told() -> Iterator[Frames]:
+                done = 0
+                for frames in self.blocks():
+                    yield frames
+                    done += len(frames)
+                    tell("counting vehicles", min(done / max(self.frame_count, 1), 1.0))
+
+            return record(counter, told(), self.max_gap_s)
 
 
 def _of_camera(
@@ -183,7 +204,7 @@ def _of_camera(
 ) -> TrafficSource:
     """The traffic of a file of tracks or a bag."""
     from geoorbit_ros.cli.console import read_lanes_aloud
-    from geoorbit_ros.core.tables import frames_of
+    from geoorbit_ros.core.tables import frames_between
     from geoorbit_ros.lanes.geojson import write_lanes
     from geoorbit_ros.traffic.interval_clock import usual_gap_s
 
@@ -204,9 +225,16 @@ def _of_camera(
         write,
         camera.datum,
         camera.homography,
-        lambda _begin_ns, _end_ns: iter([frames_of(ground)]),
+        lambda: iter(ground),
+        lambda first_ns, last_ns: frames_between(ground, first_ns, last_ns),
+        len(camera.frames),
         usual_gap_s(camera.frames),
         camera.reports,
+        (
+            ("Tracks", camera.source.name),
+            ("Control points", camera.calibration.name),
+            ("Lanes", lanes.name if lanes else estimator),
+        ),
     )
 
 
@@ -225,7 +253,8 @@ def source_of_database(
     from geoorbit_ros.traffic.interval_clock import GAP_S
 
     with TrajectoryReader(database) as reader:
-        known = [camera.camera_id for camera in reader.cameras()]
+        frame_counts = {camera.camera_id: camera.frames for camera in reader.cameras()}
+        known = list(frame_counts)
         name = camera_id or (known[0] if len(known) == 1 else "")
         if not name:
             found = f"{len(known)} cameras in {database}"
@@ -239,14 +268,31 @@ def source_of_database(
     assert file is not None
     plane = read_plane(calibration, file.datum) if calibration else None
 
-    def blocks(begin_ns: int | None, end_ns: int | None) -> Iterator[Frames]:
+    def blocks() -> Iterator[Frames]:
         with TrajectoryReader(database) as reader:
-            yield from reader.batches(name, begin_ns, end_ns)
+            yield from reader.batches(name)
+
+    def frames_between(first_ns: int, last_ns: int) -> Frames:
+        with TrajectoryReader(database) as reader:
+            return reader.read(name, first_ns, last_ns + 1)
 
     def write(path: Path) -> None:
         write_lanes(path, file.lane_map, file.datum, camera_id=name, estimator=file.estimator)
 
-    return TrafficSource(name, file.lane_map, write, file.datum, plane, blocks, GAP_S, lambda: ())
+    files = (("Tracks", database.name), ("Lanes", lanes.name if lanes else database.name))
+    return TrafficSource(
+        name,
+        file.lane_map,
+        write,
+        file.datum,
+        plane,
+        blocks,
+        frames_between,
+        frame_counts.get(name, 0),
+        GAP_S,
+        lambda: (),
+        files,
+    )
 
 
 def _write(
@@ -279,6 +325,25 @@ def _write(
     source.write_lanes(folder / "lanes.geojson")
 
 
+def _write_page(
+    path: Path,
+    source: TrafficSource,
+    recorded: Recorded,
+    scheme: ClassScheme,
+    clock: IntervalClock,
+) -> None:
+    """The tables and pictures as one HTML page."""
+    from geoorbit_ros import __version__
+    from geoorbit_ros.cli.console import status
+    from geoorbit_ros.report.traffic.content import traffic_content
+    from geoorbit_ros.report.traffic.page import provenance_of, write_traffic_report
+
+    with status("drawing the report"):
+        content = traffic_content(source.camera_id, recorded, scheme, clock, source.frames_between)
+        made = [*source.files, *provenance_of(content), ("geoorbit", __version__)]
+        write_traffic_report(path, content, made, source.reports())
+
+
 def _write_for_sumo(
     folder: Path,
     road_map: Path | None,
@@ -307,10 +372,13 @@ def _write_for_sumo(
     return demand.sentences()
 
 
-def _tell(source: TrafficSource, recorded: Recorded, scheme: ClassScheme) -> None:
-    """One row per lane for the whole recording."""
-    from geoorbit_ros.cli.console import console, count_of, make_table, say
+def _tell(
+    source: TrafficSource, recorded: Recorded, scheme: ClassScheme, said: Sequence[str]
+) -> None:
+    """One row per lane for the whole recording, and what else is to be said."""
+    from geoorbit_ros.cli.console import console, count_of, make_table, print_remarks, say
     from geoorbit_ros.report.text import number
+    from geoorbit_ros.report.traffic.tables import with_error
     from geoorbit_ros.traffic.count import whole_measures
 
     table = make_table(
@@ -325,8 +393,7 @@ def _tell(source: TrafficSource, recorded: Recorded, scheme: ClassScheme) -> Non
             "" if total else str(row["lane_number"]),
             str(row["volume"]),
             number(row["flow_veh_per_h"], 0),
-            f"{number(row['time_mean_speed_kmh'], 1)} "
-            f"± {number(row['time_mean_speed_sigma_kmh'], 1)}",
+            with_error(row["time_mean_speed_kmh"], row["time_mean_speed_sigma_kmh"]),
             number(row["speed_p85_kmh"], 1),
             number(row["headway_mean_s"], 1),
             number(100.0 * row["heavy_share"], 0),
@@ -338,6 +405,9 @@ def _tell(source: TrafficSource, recorded: Recorded, scheme: ClassScheme) -> Non
             f"{recorded.in_no_lane} of {count_of(recorded.vehicles, 'vehicle')} were seen along no "
             "lane for as far as 5 m, most of them at the edge of the view: they don't count."
         )
+    for sentence in said:
+        say(sentence)
+    print_remarks(*source.reports())
 
 
 def _say_where(out: Path, recorded: Recorded, clock: IntervalClock) -> None:

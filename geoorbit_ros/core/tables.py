@@ -6,8 +6,9 @@ offline path and the node graph compute on identical bits.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,8 @@ FLAG_PREDICTED = 1
 FLAG_TRUNCATED = 2
 """`flags` bit: the box touches the image border, its centre is not the vehicle's centre."""
 FLAG_GROUND_POINT = 4
-"""`flags` bit of `tracks_px`: the pixel is already on the ground (`w = h = 0` in a CSV)."""
+"""`flags` bit: the pixel is already on the ground (`w = h = 0` in a CSV), so that nothing shows the
+vehicle's size; a ground track has the usual one of its class."""
 FLAG_DOUBTFUL = 8
 """`flags` bit of `tracks`: something speaks against the calibration or the boxes; lanes made of
 such rows are not confirmed."""
@@ -80,8 +82,9 @@ class Frames:
                 f"{len(self.stamp_ns)} stamps, {len(self.offset)} offsets, {len(self.rows)} rows",
                 "one offset more than stamps, the last one equal to the number of rows",
             )
-        if np.any(np.diff(self.stamp_ns) <= 0):
-            k = int(np.argmax(np.diff(self.stamp_ns) <= 0)) + 1
+        back = self.stamp_ns[1:] <= self.stamp_ns[:-1]
+        if back.any():
+            k = int(back.argmax()) + 1
             raise TableError(
                 f"Frames, frame {k}",
                 f"stamp {self.stamp_ns[k]} ns after {self.stamp_ns[k - 1]} ns",
@@ -95,9 +98,68 @@ class Frames:
         """Rows of frame `k`, a view."""
         return self.rows[self.offset[k] : self.offset[k + 1]]
 
+    def part(self, first: int, last: int) -> Frames:
+        """Frames `first` to `last` - 1, views."""
+        begin, end = self.offset[first], self.offset[last]
+        offset = self.offset[first : last + 1] - begin
+        return Frames(self.stamp_ns[first:last], offset, self.rows[begin:end])
+
+    def blocks(self, rows: int) -> Iterator[Frames]:
+        """Consecutive frames, as many together as have no more than `rows` rows, at least one."""
+        first = 0
+        while first < len(self):
+            limit = self.offset[first] + rows
+            last = max(first + 1, int(np.searchsorted(self.offset, limit, side="right")) - 1)
+            yield self.part(first, last)
+            first = last
+
+    def tables(self) -> Iterator[tuple[int, NDArray[np.void]]]:
+        """Stamp and rows of each frame, views."""
+        bounds = pairwise(self.offset.tolist())
+        for stamp_ns, (begin, end) in zip(self.stamp_ns.tolist(), bounds, strict=True):
+            yield stamp_ns, self.rows[begin:end]
+
     def row_stamp_ns(self) -> NDArray[np.int64]:
         """(N,) stamp of each row."""
         return np.repeat(self.stamp_ns, np.diff(self.offset))
+
+
+def one_frame(stamp_ns: int, rows: NDArray[np.void]) -> Frames:
+    """A single frame of rows (N,)."""
+    offset = np.array([0, len(rows)], dtype=np.int64)
+    return Frames(np.array([stamp_ns], dtype=np.int64), offset, rows)
+
+
+def join_frames(
+    frames: Sequence[tuple[int, NDArray[np.void]]], dtype: np.dtype[np.void] = PIXEL_TRACK_DTYPE
+) -> Frames:
+    """Frames of stamps, which increase, and their rows of a dtype."""
+    offset = np.cumsum([0, *(len(rows) for _, rows in frames)], dtype=np.int64)
+    rows = np.concatenate([np.empty(0, dtype), *(rows for _, rows in frames)])
+    return Frames(np.array([stamp_ns for stamp_ns, _ in frames], dtype=np.int64), offset, rows)
+
+
+def frames_between(
+    blocks: Iterable[Frames], first_ns: int | None = None, last_ns: int | None = None
+) -> Frames:
+    """Frames of `TRACK_DTYPE` from one stamp to another (both included), of blocks in time order.
+
+    Without a stamp, from the beginning or to the end.
+    """
+    parts = []
+    for block in blocks:
+        low = 0 if first_ns is None else int(np.searchsorted(block.stamp_ns, first_ns))
+        high = len(block)
+        if last_ns is not None:
+            high = int(np.searchsorted(block.stamp_ns, last_ns, side="right"))
+        if low < high:
+            parts.append(block.part(low, high))
+    counts = [np.diff(part.offset) for part in parts]
+    return Frames(
+        np.concatenate([np.empty(0, np.int64), *(part.stamp_ns for part in parts)]),
+        np.append(0, np.cumsum(np.concatenate([np.empty(0, np.int64), *counts]))),
+        np.concatenate([np.empty(0, TRACK_DTYPE), *(part.rows for part in parts)]),
+    )
 
 
 def frames_from_rows(stamp_ns: NDArray[np.int64], rows: NDArray[np.void]) -> Frames:
@@ -105,16 +167,6 @@ def frames_from_rows(stamp_ns: NDArray[np.int64], rows: NDArray[np.void]) -> Fra
     order = np.argsort(stamp_ns, kind="stable")
     stamps, start = np.unique(stamp_ns[order], return_index=True)
     return Frames(stamps, np.append(start, len(rows)).astype(np.int64), rows[order])
-
-
-def frames_of(
-    stamped: Sequence[tuple[int, NDArray[np.void]]], dtype: np.dtype[np.void] = TRACK_DTYPE
-) -> Frames:
-    """Frames of stamps and their rows, in time order; frames without rows included."""
-    offset = np.append(0, np.cumsum([len(rows) for _, rows in stamped])).astype(np.int64)
-    tables = [np.empty(0, dtype), *(rows for _, rows in stamped)]
-    stamps = np.array([stamp_ns for stamp_ns, _ in stamped], np.int64)
-    return Frames(stamps, offset, np.concatenate(tables))
 
 
 def one_class_each(rows: NDArray[np.void]) -> NDArray[np.int64]:

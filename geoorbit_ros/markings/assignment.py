@@ -100,7 +100,7 @@ class _Choosing:
     def __init__(self, lines: Sequence[PaintedLine], centre_m: Array) -> None:
         self._lines, self._centre = lines, centre_m
         self._lanes = len(centre_m)
-        self._worth = [_worth(line) for line in lines]
+        self._worth = [worth(line) for line in lines]
         # (N, L) how far left of each lane's centre each line is, and the share of the lane that it
         # accompanies.
         self._side = np.full((self._lanes, len(lines)), np.nan)
@@ -206,7 +206,12 @@ def _median(values: Array) -> float:
     return float(np.median(values[known])) if known.any() else float("nan")
 
 
-def _worth(line: PaintedLine) -> float:
+def is_clear(line: PaintedLine) -> bool:
+    """Whether a line is paint, and nothing else, by itself."""
+    return worth(line) >= BUFFER_WORTH * LINE_WORTH
+
+
+def worth(line: PaintedLine) -> float:
     """What the line speaks for itself: 0 for a seam, `LINE_WORTH` for clear paint."""
     clear = (line.contrast - WORTHLESS_CONTRAST) / (CLEAR_CONTRAST - WORTHLESS_CONTRAST)
     steady = (line.score - WORTHLESS_SCORE) / (CLEAR_SCORE - WORTHLESS_SCORE)

@@ -6,7 +6,7 @@ shorter it is wrong along the road, which traffic alone does not show: nobody kn
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,18 +83,9 @@ class DashPattern:
         )
 
 
-def dash_pattern(strips: Sequence[tuple[RoadStrip, Sequence[PaintedLine]]]) -> DashPattern | None:
-    """The dashes of all lines of a camera together; None without any that can be measured.
-
-    Args:
-        strips: Each rectified image with the lines in it.
-    """
-    found = [
-        pattern
-        for strip, lines in strips
-        for line in lines
-        if line.kind == "dashed" and (pattern := _of_line(strip, line)) is not None
-    ]
+def usual_dashes(patterns: Iterable[DashPattern | None]) -> DashPattern | None:
+    """The pattern that most lines of a camera have together; None without any."""
+    found = [pattern for pattern in patterns if pattern is not None]
     if not found:
         return None
     # Most lines of a road have one pattern: that of the line that is known best, and its equals.
@@ -110,8 +101,10 @@ def dash_pattern(strips: Sequence[tuple[RoadStrip, Sequence[PaintedLine]]]) -> D
     return DashPattern(dash_m, period_m, max(sigma_m, spread / np.sqrt(len(same))), len(same))
 
 
-def _of_line(strip: RoadStrip, line: PaintedLine) -> DashPattern | None:
-    """The dashes of one line, where the image resolves them."""
+def dashes_of(strip: RoadStrip, line: PaintedLine) -> DashPattern | None:
+    """The dashes of one line; None without any, or where the image doesn't resolve them."""
+    if line.kind != "dashed":
+        return None
     known = np.flatnonzero(np.isfinite(line.offset_m))
     column = np.searchsorted(strip.offset_m, line.offset_m[known])
     column = np.clip(column, 0, len(strip.offset_m) - 1)

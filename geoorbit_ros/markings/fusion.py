@@ -25,9 +25,10 @@ from geoorbit_ros.markings.assignment import (
     choose_lines,
     in_one_painted_lane,
 )
-from geoorbit_ros.markings.dashes import dash_pattern
+from geoorbit_ros.markings.dashes import DashPattern, dashes_of, usual_dashes
 from geoorbit_ros.markings.lines import PaintedLine, find_lines
 from geoorbit_ros.markings.road_image import ALONG_M, RoadStrip, rectify
+from geoorbit_ros.markings.unused import BESIDE_M, REACH_M, unused_lanes
 
 Array = NDArray[np.float64]
 
@@ -50,6 +51,11 @@ MARGIN_M = 5.0
 EXTENSION_M = 15.0
 """Road before and after the lanes that is looked at: dashes are easier to tell where more of them
 are seen. Chosen: on a curve of 200 m the straight extension is 0.6 m off."""
+UNUSED_ID = 1_000_000
+"""Numbers of painted lanes that nobody used begin here, and follow from that of the lane beside
+them: a map counts its lanes from 1, and would take a million of them to come here."""
+UNUSED_MISSING = 6
+"""Vehicles that would confirm such a lane: as for every lane (`lanes.confidence`)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +68,8 @@ class Road:
         strip: The rectified image.
         lines: From right to left.
         homography: The camera's road plane.
+        dashes: The pattern of each line; None for those that have none.
+        beyond: Lines beside the road, where dashes are at its edge.
     """
 
     lanes: tuple[Lane, ...]
@@ -69,6 +77,8 @@ class Road:
     strip: RoadStrip
     lines: tuple[PaintedLine, ...]
     homography: RoadPlane
+    dashes: tuple[DashPattern | None, ...]
+    beyond: tuple[PaintedLine, ...] = ()
 
 
 class RoadPaint:
@@ -108,7 +118,7 @@ class RoadPaint:
             return lane_map
         known = None if anew else _moved(self._roads, lane_map)
         self._roads = known or find_roads(lane_map, self._image, self._homography)
-        pattern = dash_pattern([(road.strip, road.lines) for road in self._roads])
+        pattern = usual_dashes(dashes for road in self._roads for dashes in road.dashes)
         self.dashes = "" if pattern is None else pattern.sentence()
         found = with_painted_edges(lane_map, self._roads)
         edges = [edge for lane in found.lanes for edge in (lane.left_edge, lane.right_edge)]
@@ -195,23 +205,70 @@ def find_roads(lane_map: LaneMap, image: NDArray[np.uint8], homography: RoadPlan
         order = sorted(range(len(lanes)), key=lambda k: float(np.median(middle[k])))
         ordered = tuple(lanes[k] for k in order)
         centre = np.array([_by_station(lane, strip) for lane in ordered])
-        roads.append(Road(ordered, centre, strip, tuple(find_lines(strip)), homography))
+        lines = tuple(find_lines(strip))
+        dashes = tuple(dashes_of(strip, line) for line in lines)
+        road = Road(ordered, centre, strip, lines, homography, dashes)
+        roads.append(replace(road, beyond=_beyond(road, image, reference)))
     return roads
+
+
+def _beyond(road: Road, image: NDArray[np.uint8], reference_m: Array) -> tuple[PaintedLine, ...]:
+    """Lines beside a road at whose edge there are dashes as between lanes."""
+    if len(road.lanes) < 2:
+        return ()
+    found: list[PaintedLine] = []
+    choice = choose_lines(road.lines, road.centre_m)
+    for side, chosen in ((-1.0, choice[0][0]), (1.0, choice[-1][1])):
+        if chosen is None or road.dashes[chosen] is None:
+            continue
+        here = road.lines[chosen].offset_m
+        ends = side * BESIDE_M, side * -REACH_M
+        low, high = np.nanmin(here) - max(ends), np.nanmax(here) - min(ends)
+        found += find_lines(rectify(image, road.homography, reference_m, low, high))
+    return tuple(found)
 
 
 def with_painted_edges(lane_map: LaneMap, roads: Sequence[Road]) -> LaneMap:
     """The map with boundaries on the lines; lanes between two lines have their middle there.
 
-    Neighbours that are two bundles of traffic in one painted lane become that lane.
+    Neighbours that are two bundles of traffic in one painted lane become that lane. Painted lanes
+    that nobody used are added.
     """
     changed: dict[int, Lane | None] = {}
+    unused: list[Lane] = []
     for road in roads:
         changed |= {lane.lane_id: None for lane in road.lanes}
         whole, choice = _assigned(road)
         for k, lane in enumerate(whole.lanes):
             changed[lane.lane_id] = _bounded(whole, k, *choice[k])
+        unused += _unused(whole, choice)
     found = (changed.get(lane.lane_id, lane) for lane in lane_map.lanes)
-    return replace(lane_map, lanes=tuple(lane for lane in found if lane is not None))
+    return replace(lane_map, lanes=(*(lane for lane in found if lane is not None), *unused))
+
+
+def _unused(road: Road, choice: Sequence[Choice]) -> list[Lane]:
+    """Painted lanes that nobody used, beside a road whose lanes all lead the same way."""
+    if len({_leads_along(lane, road.strip) for lane in road.lanes}) != 1 or len(road.lanes) < 2:
+        return []
+    lanes = []
+    for found in unused_lanes(road.lines, road.dashes, road.beyond, choice, road.centre_m):
+        beside, centre = road.lanes[found.neighbour], road.centre_m[found.neighbour]
+        right, left = (found.outer, found.inner)[:: -found.side]
+        middle = 0.5 * (_along(right, centre) + _along(left, centre))
+        station = project(beside.centerline_m, road.strip.point_m).arc_m / ALONG_M
+        lane = replace(
+            beside,
+            lane_id=UNUSED_ID + 2 * beside.lane_id + (found.side > 0),
+            centerline_m=_points(station, road.strip, middle),
+            confidence=0.0,
+            status="tentative",
+            vehicles=0.0,
+            vehicles_missing=UNUSED_MISSING,
+            evidence=None,
+        )
+        alone = replace(road, lanes=(lane,), centre_m=middle[None], lines=(right, left))
+        lanes.append(replace(_bounded(alone, 0, 0, 1), driven_offset_m=float("nan")))
+    return lanes
 
 
 def _assigned(road: Road) -> tuple[Road, list[Choice]]:
@@ -302,9 +359,10 @@ def _bounded(road: Road, k: int, right: int | None, left: int | None) -> Lane:
         centre + sign * 0.5 * lane.width_m if i is None else _along(road.lines[i], centre)
         for i, sign in ((right, -1.0), (left, 1.0))
     )
-    edges = [_edge(road, i, known, lane) for i in (right, left)]
+    station = project(lane.centerline_m, strip.point_m).arc_m / ALONG_M
+    edges = [_edge(road, i, known, lane, station) for i in (right, left)]
     middle = 0.5 * (low + high)
-    lines = [_points(lane, strip, offset) for offset in (low, middle, high)]
+    lines = [_points(station, strip, offset) for offset in (low, middle, high)]
     if not same_way:
         lines, edges = lines[::-1], edges[::-1]
     both = right is not None and left is not None
@@ -345,14 +403,16 @@ def _along(line: PaintedLine, centre_m: Array) -> Array:
     )
 
 
-def _edge(road: Road, line: int | None, known: NDArray[np.bool_], lane: Lane) -> LaneEdge:
+def _edge(
+    road: Road, line: int | None, known: NDArray[np.bool_], lane: Lane, station: Array
+) -> LaneEdge:
+    """What the boundary on a line was taken from, at the stations (K,) of the lane's points."""
     if line is None:
         return LaneEdge("traffic", lane.width_sigma_m)
-    found, strip = road.lines[line], road.strip
+    found = road.lines[line]
     here = known & np.isfinite(found.offset_m)
     share = float(np.count_nonzero(here) / np.count_nonzero(known))
     at, sigma = _sigma_m(road, found, here)
-    station = project(lane.centerline_m, strip.point_m).arc_m / ALONG_M
     along = np.interp(station, at, sigma)
     # Where the line has ended, or is hidden, the boundary goes on as the lane does.
     seen = np.interp(station, np.arange(len(here)), here) > 0.5
@@ -406,10 +466,8 @@ def _sigma_between_m(
     return float(np.sqrt(of_width.mean())), float(np.sqrt(of_middle.mean()))
 
 
-def _points(lane: Lane, strip: RoadStrip, offset_m: Array) -> Array:
-    """(K, 2) points beside the lane's own, at offsets (S,) from the reference line."""
-    at = project(lane.centerline_m, strip.point_m)
-    station = at.arc_m / ALONG_M
+def _points(station: Array, strip: RoadStrip, offset_m: Array) -> Array:
+    """(K, 2) points at stations (K,), at offsets (S,) from the reference line."""
     index = np.arange(len(offset_m))
     known = np.isfinite(offset_m)
     offset = np.interp(station, index[known], offset_m[known])

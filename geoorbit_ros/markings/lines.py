@@ -362,6 +362,7 @@ def _trace(path: Array, contrast: Array, strip: RoadStrip) -> PaintedLine | None
     scatter = 1.4826 * float(np.median(np.abs((middle - path)[painted])))
     kind = _kind(painted, np.where(within & usable, strip.along_m[rows, column], np.inf), share)
     twin = _twin(strip, at[0][best], at[1][best]) if kind == "solid" else None
+    path = _between_edges(path, painted, strip, reach_m) if twin is None else path
     if twin is not None:
         (right, left, width_m), kind = twin, "double"
         path = path + 0.5 * (right + left) * ACROSS_M
@@ -406,16 +407,63 @@ def _smooth(error: Array, seen: NDArray[np.bool_], reach_m: float) -> Array:
     return fit
 
 
-def _width_m(strip: RoadStrip, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> float:
-    """Of the paint: from its sharpest edge on one side to that on the other.
+def _between_edges(
+    path: Array, painted: NDArray[np.bool_], strip: RoadStrip, reach_m: float
+) -> Array:
+    """(S,) the path moved to half-way between the edges of the paint.
 
-    Not down to half of its brightness: beside many an edge line the shoulder is nearly as bright.
+    The middle of what is bright is not the middle of a line that is worn or dirty on one side; its
+    edges, where the light changes most, are where they were painted. They are taken from the mean
+    of the stations with paint over `reach_m`, and are not farther apart than lines are wide: what
+    changes more beside them is another thing, such as the end of the pavement.
     """
-    profile = _profile(strip, rows, columns)
-    reach = len(profile) // 2
-    slope = scipy.ndimage.uniform_filter1d(np.diff(profile), 3)
-    right, left = np.argmax(slope[:reach]), reach + np.argmin(slope[reach:])
-    return float(left - right) * ACROSS_M
+    rows = np.flatnonzero(painted)
+    column = np.round((path[rows] - strip.offset_m[0]) / ACROSS_M).astype(np.int64)
+    weight = scipy.ndimage.gaussian_filter1d(painted.astype(np.float64), reach_m / ALONG_M)
+    light = np.zeros((len(path), 2 * round(PROFILE_M / ACROSS_M) + 1))
+    light[rows] = _light(strip, rows, column)
+    light = scipy.ndimage.gaussian_filter1d(light, reach_m / ALONG_M, axis=0)[rows]
+    right, left = _edges_m(light / weight[rows, None], WIDTHS_M[-1])
+    error = np.zeros(len(path))
+    error[rows] = strip.offset_m[column] + 0.5 * (right + left) - path[rows]
+    return path + _smooth(error, painted, reach_m)
+
+
+def _width_m(strip: RoadStrip, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> float:
+    """Of the paint: from its edge on one side to that on the other."""
+    right, left = _edges_m(_profile(strip, rows, columns)[None], 2.0 * PROFILE_M)
+    return float(left[0] - right[0])
+
+
+def _edges_m(profile: Array, most_m: float) -> tuple[Array, Array]:
+    """Right and left edges (N,) of lines, from the middle of their profiles (N, 2 K + 1).
+
+    Where the light rises and falls most, not down to half of its brightness: beside many an edge
+    line the shoulder is nearly as bright.
+
+    Args:
+        profile: Brightness across each line.
+        most_m: Most between the two edges.
+    """
+    reach, rows = profile.shape[1] // 2, np.arange(len(profile))
+    slope = scipy.ndimage.uniform_filter1d(np.diff(profile, axis=1), 3, axis=1)
+    apart = np.arange(slope.shape[1])
+    allowed = (apart[:reach, None] < apart[reach:]) & (
+        apart[reach:] - apart[:reach, None] <= most_m / ACROSS_M
+    )
+    change = np.where(allowed, slope[:, :reach, None] - slope[:, None, reach:], -np.inf)
+    right, left = np.divmod(change.reshape(len(rows), -1).argmax(axis=1), slope.shape[1] - reach)
+    # A slope lies half-way between two columns.
+    edges = _vertex(slope, right), _vertex(-slope, left + reach)
+    return (edges[0] + 0.5 - reach) * ACROSS_M, (edges[1] + 0.5 - reach) * ACROSS_M
+
+
+def _vertex(value: Array, k: NDArray[np.int64]) -> Array:
+    """(N,) places of the vertices of parabolas through three samples of curves (N, K) at `k`."""
+    rows, k = np.arange(len(value)), np.clip(k, 1, value.shape[1] - 2)
+    before, here, after = (value[rows, k + step] for step in (-1, 0, 1))
+    bend = np.minimum(before - 2.0 * here + after, -1e-9)
+    return np.asarray(k + np.clip(0.5 * (before - after) / bend, -1.0, 1.0))
 
 
 def _profile(strip: RoadStrip, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> Array:

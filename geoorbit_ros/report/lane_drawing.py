@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,9 +90,31 @@ def draw_lanes(
     for lane in lanes:
         css = f"d{colour[lane.lane_id]} {lane.status}"
         canvas.line(to_pixel(lane.centerline_m), f"centerline {css}")
+    kinds = {lane.lane_id: f"d{colour[lane.lane_id]} {lane.status}" for lane in lanes}
+    draw_lane_numbers(canvas, lanes, to_pixel, kinds, inside)
+
+
+def draw_lane_numbers(
+    canvas: Canvas,
+    lanes: Sequence[Lane],
+    to_pixel: ToPixel,
+    kinds: Mapping[int, str],
+    inside: Callable[[NDArray[np.float64]], NDArray[np.bool_]],
+    arrows: str | None = None,
+) -> None:
+    """Draw each lane's travel arrows and number, clear of one another.
+
+    Args:
+        canvas: Where to draw.
+        lanes: Lanes in the map frame.
+        to_pixel: Map frame to drawing.
+        kinds: CSS classes by lane id.
+        inside: Which (N, 2) pixels lie in the drawing.
+        arrows: CSS classes of the arrows; None: those of their lanes.
+    """
     badges: list[NDArray[np.float64]] = []
-    for lane, fraction in _label_places(lanes, colour):
-        css = f"d{colour[lane.lane_id]} {lane.status}"
+    for lane, fraction in _label_places(lanes, direction_groups(lanes)):
+        css = kinds[lane.lane_id]
         line = _dense(to_pixel(_dense(lane.centerline_m, 400)), 400)
         line = line[np.isfinite(line).all(axis=1)]
         line = line[inside(line)]
@@ -103,7 +125,7 @@ def draw_lanes(
         for s in np.arange(CHEVRON_EVERY_PX / 2, arc[-1], CHEVRON_EVERY_PX):
             if abs(s - at) > 18.0:
                 k = min(int(np.searchsorted(arc, s)), len(line) - 1)
-                canvas.chevron(line[k], line[k] - line[max(k - 1, 0)], css)
+                canvas.chevron(line[k], line[k] - line[max(k - 1, 0)], arrows or css)
         k = int(np.searchsorted(arc, at))
         badges.append(line[k])
         canvas.badge(line[k], str(lane.lane_id), css, lane_tip(lane))

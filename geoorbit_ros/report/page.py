@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +13,16 @@ from numpy.typing import NDArray
 from geoorbit_ros.calibration.camera_pose import recover_pose
 from geoorbit_ros.calibration.homography import Homography
 from geoorbit_ros.core.errors import CalibrationError
-from geoorbit_ros.core.input_report import InputReport, Treatment
+from geoorbit_ros.core.input_report import InputReport
 from geoorbit_ros.core.lanes import Lane, LaneMap
 from geoorbit_ros.metrics.score import score_lanes
+from geoorbit_ros.report.document import (
+    bullets,
+    document,
+    figure,
+    remarks_section,
+    section,
+)
 from geoorbit_ros.report.recording import Recording
 from geoorbit_ros.report.tables import (
     boundary_table,
@@ -33,6 +39,8 @@ from geoorbit_ros.report.text import (
     summary_sentence,
     tentative_sentences,
 )
+from geoorbit_ros.report.traffic.content import TrafficContent
+from geoorbit_ros.report.traffic.page import traffic_sections
 from geoorbit_ros.report.views import image_view, map_view, section_view
 
 LANE_NOTE = (
@@ -56,6 +64,7 @@ class ReportInput:
         truth: True lanes, when known.
         remarks: What was done with the inputs, and what speaks against them.
         image: (H, W, 3) uint8 BGR, the camera's view; None: not known.
+        traffic: What was counted in the lanes; None: there are no lanes.
     """
 
     camera_id: str
@@ -67,6 +76,7 @@ class ReportInput:
     truth: Sequence[Lane] | None = None
     remarks: Sequence[InputReport] = ()
     image: NDArray[np.uint8] | None = None
+    traffic: TrafficContent | None = None
 
 
 def write_report(path: Path, content: ReportInput) -> None:
@@ -77,50 +87,28 @@ def write_report(path: Path, content: ReportInput) -> None:
 def report_html(content: ReportInput) -> str:
     """The page as text."""
     lanes = content.lane_map.lanes
-    css = files("geoorbit_ros.report").joinpath("page.css").read_text(encoding="utf-8")
     title = f"Lanes of {content.camera_id}"
     tentative = tentative_sentences(content.lane_map)
     parts = [
         f"<header><p class='kicker'>Lane report</p><h1>{escape(title)}</h1>"
         f"<p class='lead'>{escape(summary_sentence(lanes))}</p>{_tiles(content)}</header>",
-        _remarks(content.remarks),
-        _section("Lanes", lane_table(lanes) + _list(tentative) + LANE_NOTE + _boundaries(lanes)),
+        remarks_section(content.remarks),
+        section("Lanes", lane_table(lanes) + bullets(tentative) + LANE_NOTE + _boundaries(lanes)),
         _drawings(content),
         _histograms(content),
     ]
+    if content.traffic is not None:
+        parts.append(f'<div class="traffic">{traffic_sections(content.traffic)}</div>')
     if content.truth is not None:
         score = score_lanes(lanes, content.truth)
         parts.append(
-            _section(
-                "Compared with the true lanes", _list(score_sentences(score)) + score_table(score)
+            section(
+                "Compared with the true lanes", bullets(score_sentences(score)) + score_table(score)
             )
         )
     parts.append(_calibration(content))
-    parts.append(_section("How this was made", facts(content.provenance)))
-    return (
-        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(title)}</title><style>{css}</style></head>"
-        f"<body><main>{''.join(parts)}</main></body></html>\n"
-    )
-
-
-def _remarks(reports: Sequence[InputReport]) -> str:
-    """What was left out, repaired or is doubted; the doubts first. Nothing where all is well."""
-    told = [
-        (remark.treatment is Treatment.DOUBTFUL, f"{Path(report.place).name}: {sentence}")
-        for report in reports
-        for remark, sentence in zip(report.remarks, report.sentences(), strict=True)
-    ]
-    if not told:
-        return ""
-    items = "".join(
-        f"<li class='doubt'><b>Doubtful.</b> {escape(text)}</li>"
-        if doubt
-        else f"<li>{escape(text)}</li>"
-        for doubt, text in sorted(told, key=lambda pair: not pair[0])
-    )
-    return _section("Remarks on the inputs", f"<ul>{items}</ul>")
+    parts.append(section("How this was made", facts(content.provenance)))
+    return document(title, "".join(parts))
 
 
 def _boundaries(lanes: Sequence[Lane]) -> str:
@@ -163,7 +151,7 @@ def _drawings(content: ReportInput) -> str:
         sees = f"Lanes are seen from {near_far[0]:.0f} to {near_far[1]:.0f} m from the camera."
         caption = f"{sees} {caption}"
     kind = "camera" if content.image is None else "camera photo"
-    parts.append(_section("The camera's view", _figure(camera.markup(), caption, kind)))
+    parts.append(section("The camera's view", figure(camera.markup(), caption, kind)))
     return "".join(parts)
 
 
@@ -185,7 +173,7 @@ def _map(content: ReportInput, paths: Sequence[NDArray[np.float64]]) -> str:
         caption.append("On the shaded ground, neighbouring lanes can be told apart.")
     if content.truth:
         caption.append("Thin lines are the true lanes.")
-    return _section("Map", _figure(drawing.markup(), " ".join(caption), "map"))
+    return section("Map", figure(drawing.markup(), " ".join(caption), "map"))
 
 
 def _histograms(content: ReportInput) -> str:
@@ -195,7 +183,7 @@ def _histograms(content: ReportInput) -> str:
     figures = [
         f"<h3>Towards {compass(s.heading_deg)}, {s.heading_deg:.0f}°: "
         f"{count(len(s.peak_m), 'peak')}</h3>"
-        + _figure(section_view(s, content.lane_map).markup(), "", "histogram")
+        + figure(section_view(s, content.lane_map).markup(), "", "histogram")
         for s in sections
     ]
     note = (
@@ -203,7 +191,7 @@ def _histograms(content: ReportInput) -> str:
         "place where most vehicles were seen. Dashed lines are the middles of lanes. The "
         "figures between them are the distances from lane to lane.</p>"
     )
-    return _section("Across the road", note + "".join(figures))
+    return section("Across the road", note + "".join(figures))
 
 
 def _calibration(content: ReportInput) -> str:
@@ -216,7 +204,7 @@ def _calibration(content: ReportInput) -> str:
         f"{number(float(np.median(error_m)), 3)} m on the road; the largest is "
         f"{number(float(error_m.max()), 3)} m."
     )
-    return _section(
+    return section(
         "Calibration",
         f"<p>{escape(sentence)}</p><details><summary>Every control point</summary>"
         f"{calibration_table(content.homography)}</details>",
@@ -237,21 +225,6 @@ def _range_m(content: ReportInput) -> tuple[float, ...]:
         return ()
     distance = np.hypot(*(ground - pose.position_m[:2]).T)
     return float(distance.min()), float(distance.max())
-
-
-def _section(title: str, body: str) -> str:
-    return f"<section><h2>{escape(title)}</h2>{body}</section>"
-
-
-def _figure(svg: str, caption: str, css: str) -> str:
-    note = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
-    return f'<figure class="{css}"><div class="drawing">{svg}</div>{note}</figure>'
-
-
-def _list(sentences: Sequence[str]) -> str:
-    return (
-        "<ul>" + "".join(f"<li>{escape(x)}</li>" for x in sentences) + "</ul>" if sentences else ""
-    )
 
 
 def _duration(seconds: float) -> str:

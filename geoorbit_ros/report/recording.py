@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from geoorbit_ros import __version__
 from geoorbit_ros.calibration.datum import Datum
-from geoorbit_ros.core.tables import FLAG_TRUNCATED, TRACK_DTYPE
+from geoorbit_ros.core.tables import FLAG_TRUNCATED, Frames, frames_between
 
 MIN_STEP_M = 2.0
 """Between points of a drawn path. Chosen: nearer points don't change its shape, but make the page
@@ -37,20 +37,21 @@ class Recording:
     frame_count: int = 0
     first_ns: int = 0
     last_ns: int = 0
-    _stamps: list[int] = field(default_factory=list)
-    _rows: list[NDArray[np.void]] = field(default_factory=list)
+    _blocks: list[Frames] = field(default_factory=list)
 
-    def tee(
-        self, tracks: Iterable[tuple[int, NDArray[np.void]]]
-    ) -> Iterator[tuple[int, NDArray[np.void]]]:
-        """Yield frames of `TRACK_DTYPE` rows unchanged, keeping them."""
-        for stamp_ns, rows in tracks:
-            self.first_ns = stamp_ns if self.frame_count == 0 else self.first_ns
-            self.last_ns = stamp_ns
-            self.frame_count += 1
-            self._stamps.append(stamp_ns)
-            self._rows.append(rows)
-            yield stamp_ns, rows
+    def tee(self, tracks: Iterable[Frames]) -> Iterator[Frames]:
+        """Yield blocks of frames of `TRACK_DTYPE` rows unchanged, keeping them."""
+        for block in tracks:
+            if len(block):
+                self.first_ns = self.first_ns if self.frame_count else int(block.stamp_ns[0])
+                self.last_ns = int(block.stamp_ns[-1])
+            self.frame_count += len(block)
+            self._blocks.append(block)
+            yield block
+
+    def frames(self, first_ns: int | None = None, last_ns: int | None = None) -> Frames:
+        """The ground tracks, those from one stamp to another (both included) if they are given."""
+        return frames_between(self._blocks, first_ns, last_ns)
 
     @property
     def duration_s(self) -> float:
@@ -60,22 +61,22 @@ class Recording:
     @property
     def row_count(self) -> int:
         """Positions on the ground, of all vehicles and frames."""
-        return sum(map(len, self._rows))
+        return sum(len(block.rows) for block in self._blocks)
 
     @property
     def track_count(self) -> int:
         """Distinct track ids."""
-        return len({int(k) for rows in self._rows for k in np.unique(rows["track_id"])})
+        return len({k for block in self._blocks for k in block.rows["track_id"].tolist()})
 
     def paths(self) -> list[NDArray[np.float64]]:
         """(K, 2) metres, K >= 2, one per uninterrupted drive, in the order of track ids.
 
         Positions of boxes cut off by the image border are left out: they bend away from the lane.
         """
-        if not self._rows:
+        if not self._blocks:
             return []
-        rows = np.concatenate([np.empty(0, TRACK_DTYPE), *self._rows])
-        stamp = np.repeat(np.array(self._stamps, dtype=np.int64), [len(r) for r in self._rows])
+        rows = np.concatenate([block.rows for block in self._blocks])
+        stamp = np.concatenate([block.row_stamp_ns() for block in self._blocks])
         whole = (rows["flags"] & FLAG_TRUNCATED) == 0
         rows, stamp = rows[whole], stamp[whole]
         order = np.lexsort((stamp, rows["track_id"]))

@@ -16,10 +16,12 @@ class Canvas:
         width: Pixels.
         height: Pixels.
         title: What the drawing shows, for screen readers.
+        description: More about it, for screen readers.
     """
 
-    def __init__(self, width: float, height: float, title: str) -> None:
+    def __init__(self, width: float, height: float, title: str, description: str = "") -> None:
         self.width, self.height, self.title = width, height, title
+        self.description = description
         self._parts: list[str] = []
 
     def raw(self, markup: str) -> None:
@@ -85,9 +87,10 @@ class Canvas:
 
     def markup(self) -> str:
         """The whole drawing."""
+        more = f"<desc>{escape(self.description)}</desc>" if self.description else ""
         return (
             f'<svg viewBox="0 0 {self.width:.0f} {self.height:.0f}" role="img">'
-            f"<title>{escape(self.title)}</title>{''.join(self._parts)}</svg>"
+            f"<title>{escape(self.title)}</title>{more}{''.join(self._parts)}</svg>"
         )
 
 

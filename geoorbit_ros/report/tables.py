@@ -19,7 +19,8 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """A table of ready markup; a column name that starts with `>` is aligned to the right."""
     css = ['class="n"' if name.startswith(">") else "" for name in columns]
     head = "".join(
-        f"<th {c}>{escape(name.lstrip('>'))}</th>" for c, name in zip(css, columns, strict=True)
+        f'<th scope="col" {c}>{escape(name.lstrip(">"))}</th>'
+        for c, name in zip(css, columns, strict=True)
     )
     body = "".join(
         "<tr>" + "".join(f"<td {c}>{cell}</td>" for c, cell in zip(css, row, strict=True)) + "</tr>"

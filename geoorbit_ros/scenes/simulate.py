@@ -18,7 +18,7 @@ from geoorbit_ros.scenes.detector_model import DetectorModel, View, true_boxes
 from geoorbit_ros.scenes.moving_traffic import MovingTraffic
 from geoorbit_ros.scenes.roads import PlacedRoad, place_roads
 from geoorbit_ros.scenes.scene import Scene
-from geoorbit_ros.scenes.traffic import simulate_traffic
+from geoorbit_ros.scenes.traffic import TrafficRecord, simulate_traffic
 from geoorbit_ros.scenes.truth import TruthCounter, visible_lanes
 
 Progress = Callable[[str, float], None]
@@ -86,9 +86,20 @@ class SceneRun:
 
 
 def simulate(
-    scene: Scene, duration_s: float, seed: int, progress: Progress | None = None
+    scene: Scene,
+    duration_s: float,
+    seed: int,
+    progress: Progress | None = None,
+    traffic_record: TrafficRecord | None = None,
 ) -> SceneRun:
-    """Run a scene. The same scene, duration and seed give the same bits.
+    """Run a scene. The same scene, duration, seed and record give the same bits.
+
+    Args:
+        scene: The scene.
+        duration_s: How long it is watched.
+        seed: Of all chances.
+        progress: Told how far it is.
+        traffic_record: Traffic to watch in place of SUMO's (`scenes.traffic.simulate_traffic`).
 
     Raises:
         ParameterError: A duration or a seed out of range.
@@ -96,11 +107,10 @@ def simulate(
     """
     check_range("duration", duration_s, MIN_DURATION_S, MAX_DURATION_S, "s")
     check_range("seed", seed, 0, MAX_SEED)
-    report = progress or (lambda _what, _share: None)
-    placed = place_roads(scene)
+    report, placed = progress or (lambda _what, _share: None), place_roads(scene)
     camera = scene_camera(scene, placed)
     report("traffic", 0.0)
-    record = simulate_traffic(scene, placed, duration_s, seed)
+    record = traffic_record or simulate_traffic(scene, placed, duration_s, seed)
     report("traffic", 1.0)
     traffic = MovingTraffic(record, scene, seed)
     lanes = visible_lanes(placed, camera)
@@ -108,8 +118,7 @@ def simulate(
     model = DetectorModel(camera, scene.detector, seed)
     random = np.random.default_rng([seed, 3])
     stamps, noisy, clean, boxes = [], [], [], []
-    frame_count = int(duration_s * scene.camera.fps)
-    for k in range(frame_count):
+    for k in range(frame_count := int(duration_s * scene.camera.fps)):
         ideal_s = k / scene.camera.fps
         jitter = scene.detector.time_jitter_s * float(np.clip(random.standard_normal(), -3.0, 3.0))
         time_s = max(ideal_s + min(jitter, 0.3 / scene.camera.fps), 0.0)

@@ -10,8 +10,10 @@ import os
 import subprocess
 import sys
 import tempfile
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +37,10 @@ SLOW = ("truck", "trailer", "bus")
 """SUMO's classes of vehicles that keep to the outer lane."""
 MOST_LORRIES = 0.8
 """Largest share of them in a lane. Chosen: more leaves no car between them."""
+BRAKING_MPS2 = 3.0
+"""Who is to stop brakes no harder. Chosen: less than the 4.5 m/s² that SUMO's drivers can."""
+ROOM_M = 30.0
+"""Nearer to the beginning of its road than this, nobody brakes on it. Chosen: from 50 km/h."""
 TIME_LIMIT_S = 900.0
 """SUMO is ended after this. Chosen: longer hides for longer that it hangs, shorter ends long
 scenes."""
@@ -73,10 +79,41 @@ class TrafficRecord:
     vehicle_sizes: NDArray[np.float64]
 
 
+@dataclass(frozen=True, slots=True)
+class Halt:
+    """A vehicle that is to stop on its lane.
+
+    Attributes:
+        x_m, y_m: Where, map frame.
+        road: The road there.
+        lane: Its lane, 0 the rightmost.
+        time_s: The next vehicle that can is to stop from then on.
+        duration_s: How long it stands.
+    """
+
+    x_m: float
+    y_m: float
+    road: str
+    lane: int
+    time_s: float
+    duration_s: float
+
+
 def simulate_traffic(
-    scene: Scene, placed: dict[str, PlacedRoad], duration_s: float, seed: int
+    scene: Scene,
+    placed: dict[str, PlacedRoad],
+    duration_s: float,
+    seed: int,
+    halts: Sequence[Halt] = (),
 ) -> TrafficRecord:
     """Run SUMO in a process of its own; traffic flows already at time 0.
+
+    Args:
+        scene: The scene.
+        placed: Its roads.
+        duration_s: How long traffic is recorded.
+        seed: The same one gives the same traffic.
+        halts: Vehicles that stop.
 
     Raises:
         TrafficError: SUMO stops with an error or does not end.
@@ -87,7 +124,12 @@ def simulate_traffic(
         write_network(placed, folder)
         vehicles = _departures(scene, duration_s, seed)
         _write_routes(scene, vehicles, folder / "scene.rou.xml")
-        job = {"folder": name, "steps": round((WARM_UP_S + duration_s) / STEP_S), "seed": seed}
+        job = {
+            "folder": name,
+            "steps": round((WARM_UP_S + duration_s) / STEP_S),
+            "seed": seed,
+            "halts": [asdict(halt) for halt in halts],
+        }
         command = [sys.executable, "-m", __name__, json.dumps(job)]
         env = {k: v for k, v in os.environ.items() if k not in _LEAKED}
         env["PYTHONPATH"] = os.pathsep.join(p for p in sys.path if p)
@@ -213,11 +255,34 @@ def _read(folder: Path, vehicles: list[_Departure]) -> TrafficRecord:
     )
 
 
-def _child(job: dict[str, object]) -> None:
+def _stop_next(halt: Halt) -> bool:
+    """Tell the nearest vehicle that can still brake to stop; False while there is none."""
+    import libsumo
+
+    _, at_m, _ = libsumo.simulation.convertRoad(halt.x_m, halt.y_m)
+    if at_m < ROOM_M:  # who can still brake is on the road before
+        vehicles = libsumo.vehicle.getIDList()
+    else:
+        vehicles = libsumo.lane.getLastStepVehicleIDs(f"{halt.road}_{halt.lane}")
+    best, best_m = "", 1000.0
+    for vehicle in vehicles:
+        if halt.road not in libsumo.vehicle.getRoute(vehicle):
+            continue
+        far_m = libsumo.vehicle.getDrivingDistance(vehicle, halt.road, at_m, halt.lane)
+        braking_m = libsumo.vehicle.getSpeed(vehicle) ** 2 / (2.0 * BRAKING_MPS2) + 5.0
+        if braking_m <= far_m < best_m:
+            best, best_m = vehicle, far_m
+    if not best:
+        return False
+    libsumo.vehicle.setStop(best, halt.road, at_m, halt.lane, halt.duration_s)
+    return True
+
+
+def _child(job: dict[str, Any]) -> None:
     """Run SUMO and store every state from the end of the warm-up on."""
     import libsumo
 
-    folder = Path(str(job["folder"]))
+    folder = Path(job["folder"])
     libsumo.start(
         [
             "sumo",
@@ -235,8 +300,11 @@ def _child(job: dict[str, object]) -> None:
     first = round(WARM_UP_S / STEP_S)
     columns: list[tuple[int, int, float, float, float, float, int]] = []
     lanes: dict[str, int] = {}
-    for step in range(int(str(job["steps"])) + 2):
+    halts = [Halt(**halt) for halt in job["halts"]]
+    for step in range(int(job["steps"]) + 2):
         libsumo.simulationStep()
+        time_s = (step - first) * STEP_S
+        halts = [halt for halt in halts if time_s < halt.time_s or not _stop_next(halt)]
         if step < first:
             continue
         for vehicle in libsumo.vehicle.getIDList():

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.plane import RoadPlane
 from geoorbit_ros.core.lanes import Lane
-from geoorbit_ros.core.tables import Frames
+from geoorbit_ros.core.tables import MOTORCYCLE, Frames
+from geoorbit_ros.traffic.class_schemes import BICYCLE
 from geoorbit_ros.traffic.lane_sequence import LaneMatcher, cut_at_oncoming
 from geoorbit_ros.traffic.motion_fit import VEHICLE_SCALE
 from geoorbit_ros.traffic.passages import find_passages
@@ -21,14 +22,20 @@ from geoorbit_ros.traffic.vehicle_paths import PathCollector, Paths
 
 Array = NDArray[np.float64]
 
-OVERLAP_SHARE = 0.5
-"""Share of their mean length by which two vehicles can't overlap. Chosen: lengths and places are
-known within a metre or two; less takes close followers in a queue for one vehicle."""
+LENGTH_SHARE, GAP_S = 0.8, 0.1
+"""Two vehicles that cross a line nearer to one another than 0.8 of their mean length and what they
+drive in 0.1 s are one with two ids. Chosen: lengths are known within a fifth, and no driver keeps
+a tenth of a second; more takes a queue's close followers for one."""
+NARROW_CLASSES = (BICYCLE, MOTORCYCLE)
+"""Riders share a lane side by side: none of them is another's second id."""
 CAR_LENGTH_M = 4.5
 """Length of a vehicle of which none is known. Chosen: a car's."""
-FORGET_NS = 60_000_000_000
-"""Crossings so long before the newest are forgotten. Chosen: a vehicle's second track is counted
-within a minute after the first, or was a stopped one."""
+FORGET_NS = 20_000_000_000
+"""Crossings so long before another are no hindrance to it. Chosen: in this time the slowest vehicle
+that counts has moved on by a lorry's half."""
+KEPT_NS = 600_000_000_000
+"""Crossings are remembered for so long: vehicles are counted when they are gone, so that those of a
+queue come later than who passed it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,16 +136,19 @@ class _OccupiedPlaces:
     def seen_before(self, crossings: NDArray[np.void]) -> NDArray[np.int64]:
         """Ids of vehicles that are a second track of one that was counted already.
 
-        Two bodies that share half of their length are one vehicle with two ids. Of these the one
-        that is gone first counts.
+        Two bodies in one place are one vehicle with two ids. Of these the one that is gone first
+        counts.
         """
         twice = list[int]()
         for row in crossings:
+            if int(row["class_id"]) in NARROW_CLASSES:
+                continue
             lane = self._crossed.setdefault(int(row["lane_id"]), [])
             at_ns, speed = int(row["stamp_ns"]), float(row["speed_mps"])
             length_m = float(row["length_m"])
-            lane[:] = [other for other in lane if other[0] > at_ns - FORGET_NS]
-            if any(_overlap(at_ns, speed, length_m, *other) for other in lane):
+            lane[:] = [other for other in lane if other[0] > at_ns - KEPT_NS]
+            near = [other for other in lane if abs(other[0] - at_ns) < FORGET_NS]
+            if any(_overlap(at_ns, speed, length_m, *other) for other in near):
                 twice.append(int(row["vehicle_id"]))
             else:
                 lane.append((at_ns, speed, length_m))
@@ -148,10 +158,10 @@ class _OccupiedPlaces:
 def _overlap(
     at_ns: int, speed: float, length_m: float, other_ns: int, other_speed: float, other_m: float
 ) -> bool:
-    """Whether two vehicles at one line would stand half in one another."""
-    distance_m = abs(at_ns - other_ns) * 1e-9 * min(speed, other_speed)
+    """Whether two vehicles at one line would be in one place."""
+    distance_m = (abs(at_ns - other_ns) * 1e-9 - GAP_S) * min(speed, other_speed)
     lengths = [m if np.isfinite(m) else CAR_LENGTH_M for m in (length_m, other_m)]
-    return distance_m < OVERLAP_SHARE * sum(lengths) / 2
+    return distance_m < LENGTH_SHARE * sum(lengths) / 2
 
 
 def scale_sigma(lane: Lane, plane: RoadPlane | None) -> float:

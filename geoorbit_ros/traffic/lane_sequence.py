@@ -181,9 +181,8 @@ def _decode(
     for k in range(1, longest):
         going = int(np.searchsorted(-count, -k, side="left"))  # vehicles with more than k rows
         through = total[:going, :, None] + move
-        came_from[k, :going] = best = through.argmin(axis=1)
-        step = np.take_along_axis(through, best[:, None, :], axis=1)[:, 0]
-        total[:going] = step + cost[begin[:going] + k]
+        came_from[k, :going] = through.argmin(axis=1)
+        total[:going] = through.min(axis=1) + cost[begin[:going] + k]
     state = total.argmin(axis=1).astype(np.int64)
     for k in range(longest - 1, -1, -1):
         going = int(np.searchsorted(-count, -k, side="left"))

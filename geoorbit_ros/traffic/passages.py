@@ -51,7 +51,7 @@ def find_passages(paths: Paths, found: LaneSequence) -> NDArray[np.void]:
         (P,) `PASSAGE_DTYPE`, with numbers of paths and lanes from 0 in place of ids, -1 for no
         lane, and speed errors without that of the calibration.
     """
-    runs = _runs(paths, found)
+    runs = find_runs(paths, found)
     stamp_ns = paths.rows["stamp_ns"][runs.rows]
     arc = found.places.arc_m[runs.rows, runs.lane[runs.run]]
     begin = np.flatnonzero(np.diff(runs.run, prepend=-1))
@@ -75,7 +75,7 @@ def find_passages(paths: Paths, found: LaneSequence) -> NDArray[np.void]:
     return out
 
 
-def _runs(paths: Paths, found: LaneSequence) -> Runs:
+def find_runs(paths: Paths, found: LaneSequence) -> Runs:
     """Runs long enough to be passages; what lies between two runs in the same lane joins them."""
     owner, lane = paths.owner, found.lane
     rows = np.flatnonzero(lane >= 0)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
 Key = tuple[int, int]
 
 LOOK_NS = 1_000_000_000
@@ -32,53 +32,65 @@ MAX_SQUARE = 9.2
 """Squared error up to which two tracks are one vehicle: chi-square, 2 degrees of freedom, 99 %."""
 SLOW_MPS = 2.0
 """Slower vehicles have no direction to be held against. Chosen: the noise of a velocity."""
+SPEED_SHARE = 0.25
+"""Error of a velocity from one second of places, as a share of it. Chosen: far away a pixel is
+metres."""
 TURN_COS = 0.7
 """Least cosine between the two directions of motion. Chosen: 45 degrees, a bend's worth."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Fragment:
     """One track.
 
     Attributes:
         track_id: Its id.
         rows: `vehicle_paths.PATH_DTYPE`, in time order, at least one.
+        first_ns: When it was first seen.
+        last_ns: When it was last seen.
+        key: Names it among all tracks: an id may come back.
+        pauses: Whether it was lost for long enough to be another's continuation meanwhile.
     """
 
     track_id: int
     rows: NDArray[np.void]
+    first_ns: int = field(init=False)
+    last_ns: int = field(init=False)
+    key: Key = field(init=False)
+    pauses: bool = field(init=False)
 
-    @property
-    def key(self) -> Key:
-        """Names it among all tracks: an id may come back."""
-        return self.track_id, self.first_ns
-
-    @property
-    def first_ns(self) -> int:
-        """When it was first seen."""
-        return int(self.rows["stamp_ns"][0])
-
-    @property
-    def last_ns(self) -> int:
-        """When it was last seen."""
-        return int(self.rows["stamp_ns"][-1])
+    def __post_init__(self) -> None:
+        stamps = self.rows["stamp_ns"]
+        self.first_ns, self.last_ns = int(stamps[0]), int(stamps[-1])
+        self.key = self.track_id, self.first_ns
+        longest_ns = int(np.diff(stamps).max(initial=0))
+        self.pauses = longest_ns > LOOK_NS - OVERLAP_NS
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """Where a vehicle was at one time, and how fast.
+    """Where a vehicle was at one time, and how fast, in plain numbers: pairs are many.
 
     Attributes:
         stamp_ns: When.
-        place_m: (2,) metres.
-        velocity_mps: (2,), None where it is not known.
+        x: Metres.
+        y: Metres.
+        vx: Metres per second; NaN where it is not known.
+        vy: The same.
         sigma_m: 1-sigma of the place.
     """
 
     stamp_ns: int
-    place_m: Array
-    velocity_mps: Array | None
+    x: float
+    y: float
+    vx: float
+    vy: float
     sigma_m: float
+
+    @property
+    def speed(self) -> float:
+        """Metres per second; NaN where it is not known."""
+        return math.hypot(self.vx, self.vy)
 
 
 @dataclass(slots=True)
@@ -92,6 +104,7 @@ class Links:
     joined: int = 0
     _next: dict[Key, Key] = field(default_factory=dict)
     _decided: set[Key] = field(default_factory=set)
+    _ends: dict[Key, Motion] = field(default_factory=dict)
 
     def join(
         self, fragments: list[Fragment], now_ns: int | None
@@ -123,6 +136,7 @@ class Links:
             for part in chain:
                 self._next.pop(part.key, None)
                 self._decided.discard(part.key)
+                self._ends.pop(part.key, None)
         chains.sort(key=lambda chain: (max(p.last_ns for p in chain), chain[0].track_id))
         return chains, open_fragments
 
@@ -154,22 +168,34 @@ class Links:
         begin: Motion | None = None
         best, least = None, MAX_SQUARE
         for fragment in near:
+            if fragment.last_ns > start_ns + OVERLAP_NS and not fragment.pauses:
+                continue  # it is still there
             if fragment.key in self._next:
                 continue
-            stamps = fragment.rows["stamp_ns"]
-            if stamps[-1] > start_ns + OVERLAP_NS:
-                known = fragment.rows[: np.searchsorted(stamps, start_ns + LOOK_NS, side="right")]
-            else:
-                known = fragment.rows
-            gap_ns = start_ns - int(known["stamp_ns"][-1])
-            if not -OVERLAP_NS <= gap_ns <= MAX_GAP_NS:
+            end = self._end_of(fragment, start_ns)
+            if end is None or not -OVERLAP_NS <= start_ns - end.stamp_ns <= MAX_GAP_NS:
                 continue
             if begin is None:
                 begin = _motion(after.rows, begins=True)
-            square = _square(_motion(known, begins=False), begin)
+            square = _square(end, begin)
             if square < least:
                 best, least = fragment, square
         return best
+
+    def _end_of(self, fragment: Fragment, start_ns: int) -> Motion | None:
+        """How the track ended, by what is known a second after `start_ns`; None: it goes on."""
+        stamps = fragment.rows["stamp_ns"]
+        if fragment.last_ns <= start_ns + LOOK_NS:
+            if fragment.last_ns > start_ns + OVERLAP_NS:
+                return None
+            found = self._ends.get(fragment.key)
+            if found is None or found.stamp_ns != fragment.last_ns:
+                found = self._ends[fragment.key] = _motion(fragment.rows, begins=False)
+            return found
+        known = int(np.searchsorted(stamps, start_ns + LOOK_NS, side="right"))
+        if int(stamps[known - 1]) > start_ns + OVERLAP_NS:
+            return None
+        return _motion(fragment.rows[:known], begins=False)
 
 
 def _motion(rows: NDArray[np.void], *, begins: bool) -> Motion:
@@ -182,44 +208,47 @@ def _motion(rows: NDArray[np.void], *, begins: bool) -> Motion:
         part = rows[np.searchsorted(stamps, stamps[-1] - LOOK_NS) :]
         at_ns = int(stamps[-1])
     time_s = (part["stamp_ns"] - at_ns) * 1e-9
-    place = np.column_stack((part["x"], part["y"]))
+    x, y = part["x"], part["y"]
     sigma_m = float(part["sigma"].min())
     if len(part) < 3 or np.ptp(time_s) < 0.3 * LOOK_NS * 1e-9:
-        return Motion(at_ns, place[0 if begins else -1], None, sigma_m)
-    weight = 1.0 / np.maximum(part["sigma"].astype(np.float64), 0.05) ** 2
-    mean_s = float((weight * time_s).sum() / weight.sum())
-    mean_m = (weight[:, None] * place).sum(axis=0) / weight.sum()
-    spread = (weight * (time_s - mean_s) ** 2).sum()
-    velocity = (weight[:, None] * (time_s - mean_s)[:, None] * (place - mean_m)).sum(axis=0)
-    velocity = velocity / spread
-    return Motion(at_ns, mean_m - mean_s * velocity, velocity, sigma_m)
+        k = 0 if begins else -1
+        return Motion(at_ns, float(x[k]), float(y[k]), math.nan, math.nan, sigma_m)
+    weight = 1.0 / np.maximum(part["sigma"], 0.05) ** 2
+    weight = weight / weight.sum()
+    mean_s, mean_x, mean_y = ((weight * value).sum() for value in (time_s, x, y))
+    lever = weight * (time_s - mean_s)
+    spread = (lever * (time_s - mean_s)).sum()
+    vx, vy = float((lever * x).sum() / spread), float((lever * y).sum() / spread)
+    return Motion(at_ns, float(mean_x - mean_s * vx), float(mean_y - mean_s * vy), vx, vy, sigma_m)
 
 
 def _square(before: Motion, after: Motion) -> float:
     """Squared error, in its own sigma, of one vehicle having both motions; infinite if it can't."""
     gap_s = (after.stamp_ns - before.stamp_ns) * 1e-9
-    known = [m.velocity_mps for m in (before, after) if m.velocity_mps is not None]
-    velocity = np.mean(known, axis=0) if known else np.zeros(2)
-    moved = after.place_m - before.place_m
-    error = moved - velocity * gap_s
-    if len(known) == 2:
-        speeds = [float(np.hypot(*v)) for v in known]
-        cosine = float(known[0] @ known[1]) / max(speeds[0] * speeds[1], 1e-9)
-        if min(speeds) > SLOW_MPS and cosine < TURN_COS:
-            return float("inf")
-        allowed = 3.0 * ACCELERATION_MPS2 * max(abs(gap_s), 1.0) + 0.25 * max(speeds)
-        if abs(speeds[0] - speeds[1]) > allowed:
-            return float("inf")
-    speed = float(np.hypot(*velocity))
+    known = [m for m in (before, after) if not math.isnan(m.vx)]
+    if len(known) == 2 and not _may_be_one(before, after, gap_s):
+        return math.inf
+    count = max(len(known), 1)
+    vx, vy = sum(m.vx for m in known) / count, sum(m.vy for m in known) / count
+    error_x = after.x - before.x - vx * gap_s
+    error_y = after.y - before.y - vy * gap_s
+    speed = math.hypot(vx, vy)
     if speed > SLOW_MPS:
-        along = velocity / speed
+        ux, uy = vx / speed, vy / speed
     else:
-        length = float(np.hypot(*error))
-        along = error / length if length > 0.0 else np.array([1.0, 0.0])
+        length = math.hypot(error_x, error_y)
+        ux, uy = (error_x / length, error_y / length) if length > 0.0 else (1.0, 0.0)
     noise = before.sigma_m**2 + after.sigma_m**2
-    # A vehicle of which one velocity is unknown may have any usual acceleration over the gap.
-    along_sigma = np.sqrt(noise + PLACE_M[0] ** 2 + (0.5 * ACCELERATION_MPS2 * gap_s**2) ** 2)
-    across_sigma = np.sqrt(noise + PLACE_M[1] ** 2 + (ACROSS_MPS * gap_s) ** 2)
-    along_m = float(error @ along)
-    across_m = float(error @ np.array([-along[1], along[0]]))
-    return (along_m / float(along_sigma)) ** 2 + (across_m / float(across_sigma)) ** 2
+    along = noise + PLACE_M[0] ** 2 + (0.5 * ACCELERATION_MPS2 * gap_s**2) ** 2
+    across = noise + PLACE_M[1] ** 2 + (ACROSS_MPS * gap_s) ** 2
+    along_m, across_m = error_x * ux + error_y * uy, error_y * ux - error_x * uy
+    return along_m**2 / along + across_m**2 / across
+
+
+def _may_be_one(before: Motion, after: Motion, gap_s: float) -> bool:
+    """Whether a vehicle can change from one velocity to the other in the time."""
+    slower, faster = sorted((before.speed, after.speed))
+    along = before.vx * after.vx + before.vy * after.vy
+    if slower > SLOW_MPS and along < TURN_COS * slower * faster:
+        return False
+    return faster - slower <= 3.0 * ACCELERATION_MPS2 * max(abs(gap_s), 1.0) + SPEED_SHARE * faster

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import TableError
-from geoorbit_ros.core.tables import FLAG_PREDICTED, TRACK_DTYPE, Frames
+from geoorbit_ros.core.tables import FLAG_GROUND_POINT, FLAG_PREDICTED, TRACK_DTYPE, Frames
 from geoorbit_ros.traffic.track_links import Fragment, Links
 
 BIN_NS = 100_000_000
@@ -138,6 +138,7 @@ def _path_rows(frames: Frames) -> NDArray[np.void]:
     for name in PATH_DTYPE.names or ():
         if name != "stamp_ns":
             rows[name] = table[name][seen]
+    rows["length"][(table["flags"][seen] & FLAG_GROUND_POINT) != 0] = np.nan
     return rows
 
 

@@ -62,6 +62,7 @@ GIVEN = {
     "docs/markings.md": [SCENE, "scene render on_ramp_merge --duration 2 --seed 1 --out out/film"],
     "docs/tracking.md": [FILM, "detect out/film/video.mp4 --out det.txt"],
     "docs/ros.md": [SCENE + " --camera-id north", RECORD],
+    "docs/traffic.md": [SCENE],
     "docs/twin.md": [SCENE, LANES, RECORD.replace("lanes.geojson", "replayed.geojson")],
 }  # fmt: skip
 """What a page says that its reader has."""

@@ -11,6 +11,10 @@ from geoorbit_ros.cli.inputs import CameraIdOption, ForceOption
 from geoorbit_ros.cli.twin.replay import NetOption
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from geoorbit_ros.cli.traffic import TrafficSource
+    from geoorbit_ros.core.tables import Frames
     from geoorbit_ros.traffic.interval_clock import IntervalClock
 
 DatabaseArgument = Annotated[Path, typer.Argument(help="The recorder's SQLite file.")]
@@ -64,9 +68,8 @@ def demand(
     clock = clock_of(interval, timezone)
     check_new_folder(out, overwrite=force)
     source = source_of_database(database, camera_id, None, lanes)
-    begin_ns, end_ns = _day(database, source.camera_id, day, clock)
-    recorded = source.count(begin_ns, end_ns)
-    found = measure_demand(recorded, load_network(net, source.datum), clock)
+    source = _between(source, database, *_day(database, source.camera_id, day, clock))
+    found = measure_demand(source.count(), load_network(net, source.datum), clock)
     with atomic_output(out, overwrite=force) as folder:
         folder.mkdir()
         write_scenario(folder, found.counts)
@@ -77,6 +80,19 @@ def demand(
     first, last = (clock.text(int(stamp)) for stamp in counts.edges_ns[[0, -1]])
     say(f"{counts.count.sum()} vehicles from {first} to {last}.")
     console.print(f" Wrote {out}", soft_wrap=True)
+
+
+def _between(source: TrafficSource, database: Path, begin_ns: int, end_ns: int) -> TrafficSource:
+    """The same with the frames from one stamp on and before another."""
+    from dataclasses import replace
+
+    from geoorbit_ros.storage.database.reader import TrajectoryReader
+
+    def blocks() -> Iterator[Frames]:
+        with TrajectoryReader(database) as reader:
+            yield from reader.batches(source.camera_id, begin_ns, end_ns)
+
+    return replace(source, blocks=blocks)
 
 
 def _day(database: Path, camera_id: str, day: str | None, clock: IntervalClock) -> tuple[int, int]:

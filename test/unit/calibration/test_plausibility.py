@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from geoorbit_ros.calibration.box_projector import BoxProjector
 from geoorbit_ros.calibration.control_point_file import read_control_points
 from geoorbit_ros.calibration.homography import fit_homography
-from geoorbit_ros.core.tables import FLAG_DOUBTFUL, FLAG_GROUND_POINT
+from geoorbit_ros.core.tables import FLAG_DOUBTFUL, FLAG_GROUND_POINT, frames_from_rows
 from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.lanes.mapping.mapper import LaneMapper
 from geoorbit_ros.lanes.pipeline import map_lanes, project_frames
@@ -180,7 +180,7 @@ def test_images_without_vehicles_count_among_the_times() -> None:
         seen = rows.copy()
         if k % 3:
             seen["class_id"] = 0
-        projector.traffic.add(5 * stamp_ns, seen)
+        projector.traffic.add(frames_from_rows(np.full(len(seen), 5 * stamp_ns), seen))
     assert projector.traffic.judge() == ()
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geoorbit_ros.markings.dashes import DashPattern, dash_pattern
+from geoorbit_ros.markings.dashes import DashPattern, dashes_of, usual_dashes
 from geoorbit_ros.markings.lines import PaintedLine
 from geoorbit_ros.markings.road_image import ALONG_M, RoadStrip
 
@@ -50,7 +50,7 @@ def line(
 )
 @pytest.mark.parametrize("faults", [0.0, 0.03])
 def test_length_and_period_are_measured(dash_m: float, period_m: float, faults: float) -> None:
-    found = dash_pattern([(strip(), [line(dash_m, period_m, faults)])])
+    found = dashes_of(strip(), line(dash_m, period_m, faults))
     assert found is not None
     assert found.period_m == pytest.approx(period_m, rel=0.01)
     assert abs(found.period_m - period_m) < 4.0 * found.sigma_m
@@ -59,8 +59,8 @@ def test_length_and_period_are_measured(dash_m: float, period_m: float, faults: 
 
 def test_several_lines_are_one_pattern_and_another_one_does_not_spoil_it() -> None:
     lines = [line(3.0, 9.0, 0.03, seed, offset_m=seed - 2.0) for seed in (1, 2, 3)]
-    alone = dash_pattern([(strip(), lines[:1])])
-    found = dash_pattern([(strip(), [*lines, line(1.0, 6.0, 0.05, 4)])])
+    alone = dashes_of(strip(), lines[0])
+    found = usual_dashes(dashes_of(strip(), each) for each in (*lines, line(1.0, 6.0, 0.05, 4)))
     assert alone is not None
     assert found is not None
     assert found.lines == 3
@@ -79,12 +79,12 @@ def test_several_lines_are_one_pattern_and_another_one_does_not_spoil_it() -> No
     ids=["none", "solid", "too few", "spots"],
 )
 def test_nothing_is_claimed_where_no_period_is_seen(lines: list[PaintedLine]) -> None:
-    assert dash_pattern([(strip(), lines)]) is None
+    assert usual_dashes(dashes_of(strip(), each) for each in lines) is None
 
 
 def test_nothing_is_claimed_where_the_image_does_not_resolve_dashes() -> None:
-    assert dash_pattern([(strip(along_m=1.5), [line(3.0, 9.0)])]) is None
-    assert dash_pattern([(strip(sharp_m=30.0), [line(3.0, 9.0)])]) is None
+    assert dashes_of(strip(along_m=1.5), line(3.0, 9.0)) is None
+    assert dashes_of(strip(sharp_m=30.0), line(3.0, 9.0)) is None
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,8 @@ from made_markings import (
     road_plane,
 )
 
-from geoorbit_ros.core.lanes import LaneMap
+from geoorbit_ros.core.lanes import Lane, LaneMap
+from geoorbit_ros.lanes.confidence import MIN_VEHICLES
 from geoorbit_ros.markings.fusion import RoadPaint, find_roads, with_painted_edges
 
 MOTORWAY = (
@@ -245,3 +246,79 @@ def test_a_later_map_takes_the_lines_of_an_earlier_one() -> None:
     fewer = replace(later, lanes=later.lanes[:2])
     found = paint.follow(fewer, anew=False)
     assert [lane.right_edge and lane.right_edge.source for lane in found.lanes] == ["paint"] * 2
+
+
+DASHES = (3.0, 9.0)
+WIDE = (
+    Stripe(0.0, 0.25),
+    Stripe(3.75, 0.15, *DASHES),
+    Stripe(7.5, 0.15, *DASHES),
+    Stripe(11.25, 0.15, *DASHES),
+    Stripe(15.0, 0.30),
+)
+"""Four lanes that lead north."""
+
+
+def unused_in(lanes: LaneMap) -> list[Lane]:
+    return [lane for lane in lanes.lanes if lane.vehicles == 0.0]
+
+
+@pytest.mark.parametrize("south", [False, True])
+def test_a_painted_lane_that_nobody_used_is_tentative(south: bool) -> None:
+    before = lane_map((1.9, 5.6, 9.4), opposite=(south,) * 3)
+    after = painted(before, WIDE)
+    (lane,) = unused_in(after)
+    assert (lane.status, lane.vehicles, lane.confidence) == ("tentative", 0.0, 0.0)
+    assert lane.vehicles_missing == MIN_VEHICLES
+    assert lane.lane_id not in {other.lane_id for other in before.lanes}
+    assert float(offset_m(lane.centerline_m).mean()) == pytest.approx(13.125, abs=0.05)
+    assert lane.width_m == pytest.approx(3.75, abs=0.05)
+    assert abs((lane.heading_deg - before.lanes[0].heading_deg + 180.0) % 360.0 - 180.0) < 3.0
+    edges = (lane.left_edge, lane.right_edge)
+    kinds = ["solid", "dashed"] if south else ["dashed", "solid"]
+    assert [edge and edge.marking for edge in edges] == kinds
+    assert np.isnan(lane.driven_offset_m)
+    # The others stand, in their order.
+    assert [lane.lane_id for lane in after.lanes[:-1]] == [lane.lane_id for lane in before.lanes]
+
+
+def test_there_may_be_one_on_either_side() -> None:
+    right, left = unused_in(painted(lane_map((5.6, 9.4)), WIDE))
+    for lane, middle_m in ((right, 13.125), (left, 1.875)):
+        ends = [float(offset_m(line).mean()) for line in (lane.left_m, lane.right_m)]
+        assert ends == pytest.approx([middle_m - 1.875, middle_m + 1.875], abs=0.05)
+    assert right.lane_id != left.lane_id
+
+
+def test_it_keeps_its_number_when_the_map_is_renewed() -> None:
+    before = lane_map((1.9, 5.6, 9.4))
+    later = (replace(lane, vehicles=lane.vehicles + 9.0) for lane in before.lanes)
+    paint = RoadPaint(road_image(WIDE), road_plane(), IMAGE_SIZE)
+    first = paint.follow(before)
+    again = paint.follow(replace(before, stamp_ns=2, lanes=tuple(later)), anew=False)
+    assert [lane.lane_id for lane in again.lanes] == [lane.lane_id for lane in first.lanes]
+    assert len(unused_in(again)) == 1
+
+
+@pytest.mark.parametrize(
+    ("driven", "opposite", "stripes"),
+    [
+        # A hard shoulder with a line at its end; a gore; a lane of its own behind a solid line.
+        (DRIVEN_M, (), (*MOTORWAY, Stripe(14.5, 0.2))),
+        ((1.9, 5.6), (), (*WIDE[:2], Stripe(7.5, 0.15), *WIDE[3:])),
+        # Traffic both ways, or one lane: paint does not say which way the next one leads.
+        ((1.9, 5.6, 9.4), (True, False, False), WIDE),
+        ((9.4,), (), WIDE),
+        # Dashes of another kind, an edge line that is dashed, nothing beyond.
+        ((1.9, 5.6, 9.4), (), (*WIDE[:3], Stripe(11.25, 0.15, 1.0, 2.0), WIDE[4])),
+        ((1.9, 5.6, 9.4), (), (*WIDE[:3], Stripe(11.25, 0.15, 9.5, 13.0), WIDE[4])),
+        ((1.9, 5.6, 9.4), (), WIDE[:4]),
+        # A lane for bicycles, and a line far away.
+        ((1.9, 5.6, 9.4), (), (*WIDE[:4], Stripe(13.0, 0.25))),
+        ((1.9, 5.6, 9.4), (), (*WIDE[:4], Stripe(16.2, 0.25))),
+    ],
+)
+def test_no_lane_is_invented_beside_the_traffic(
+    driven: tuple[float, ...], opposite: tuple[bool, ...], stripes: tuple[Stripe, ...]
+) -> None:
+    assert unused_in(painted(lane_map(driven, opposite=opposite), stripes)) == []

@@ -87,6 +87,26 @@ def test_what_lies_beside_a_line_does_not_make_it_double(beside: Stripe) -> None
     assert east_m(line) == pytest.approx(3.6, abs=0.09)
 
 
+@pytest.mark.parametrize("worn", [165.0, 190.0])
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_line_that_is_worn_on_one_side_is_where_it_was_painted(side: float, worn: float) -> None:
+    lines = lines_of(
+        Stripe(0.0, 0.25),
+        Stripe(7.0 - side * 0.07, 0.14),
+        Stripe(7.0 + side * 0.07, 0.14, colour=(worn, worn, worn)),
+    )
+    assert len(lines) == 2
+    assert east_m(lines[0]) == pytest.approx(7.0, abs=0.017)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_bright_shoulder_beside_a_line_does_not_move_it(side: float) -> None:
+    shoulder = Stripe(7.0 + side * 0.5, 0.6, colour=(140.0, 140.0, 140.0))
+    paint = Stripe(7.0, 0.28, colour=(200.0, 200.0, 200.0))
+    line = min(lines_of(paint, shoulder, paint), key=lambda line: abs(east_m(line) - 7.0))
+    assert east_m(line) == pytest.approx(7.0, abs=0.017)
+
+
 def test_a_station_is_seen_where_there_is_paint(motorway: list[PaintedLine]) -> None:
     strip = strip_of()
     dashes = motorway[2]

@@ -14,6 +14,7 @@ from geoorbit_ros.scenes.scene import Scene, load_scene
 from geoorbit_ros.scenes.traffic import (
     STEP_S,
     WARM_UP_S,
+    Halt,
     TrafficError,
     TrafficRecord,
     simulate_traffic,
@@ -37,6 +38,21 @@ def test_the_seed_decides_which_vehicles_come(straight: TrafficRecord) -> None:
     assert np.array_equal(again.xy, straight.xy)
     assert np.array_equal(again.vehicle_sizes, straight.vehicle_sizes)
     assert other.vehicle_sizes[:5].tolist() != straight.vehicle_sizes[:5].tolist()
+
+
+def test_a_vehicle_that_is_to_halt_stands_at_its_place_and_goes_on() -> None:
+    scene = load_scene("straight_3x3")
+    placed = place_roads(scene)
+    name = scene.roads[0].id
+    x_m, y_m = placed[name].centerline(1)[-1] * 0.5 + placed[name].centerline(1)[0] * 0.5
+    halt = Halt(float(x_m), float(y_m), name, 1, 0.0, 6.0)
+    record = simulate_traffic(scene, placed, 40.0, 1, [halt])
+    near = np.hypot(*(record.xy - [x_m, y_m]).T) < 12.0
+    stands = near & (record.speed < 0.1)
+    vehicles, steps = np.unique(record.vehicle[stands], return_counts=True)
+    assert steps.max() * STEP_S == pytest.approx(6.0, abs=1.0)
+    gone = record.vehicle == vehicles[steps.argmax()]
+    assert record.speed[gone][-1] > 1.0
 
 
 def test_as_many_vehicles_come_as_the_scene_says(straight: TrafficRecord) -> None:

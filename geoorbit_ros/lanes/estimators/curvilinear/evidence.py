@@ -118,11 +118,8 @@ class Evidence:
 
     def settle(self) -> float:
         """Move tracks that have ended from rows to segments; return the time in seconds."""
-        news = bool(self._chunks)
-        rows = self._open.followed_by(self._fresh_rows())
+        rows = self._open.followed_by(self._fresh_rows()) if self._chunks else no_rows()
         now_s = (self._now_ns - (self._epoch_ns or 0)) * 1e-9
-        if not news:
-            return now_s
         if len(rows) == 0:
             return now_s
         order = order_by_track(rows.track)

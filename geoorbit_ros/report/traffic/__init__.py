@@ -1,0 +1,1 @@
+"""The traffic that was counted, in tables and pictures on one HTML page."""
