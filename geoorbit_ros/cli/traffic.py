@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from geoorbit_ros.traffic.count import Recorded
     from geoorbit_ros.traffic.interval_clock import IntervalClock
 
+SHOWN_EVENTS = 10
+"""So many events are told on the console. Chosen: more push the table out of sight."""
 _UNIT_S = {"s": 1, "min": 60, "h": 3600, "d": 86_400}
 
 
@@ -101,6 +103,7 @@ def traffic(
 
     Into the folder go report.html (tables and pictures), vehicles.csv (a row per vehicle and lane),
     intervals.csv (a row per interval, lane and class), movements.csv (from which lane to which),
+    events.csv (stopped and wrong-way vehicles, queues, unused lanes, drops of speed),
     the same as Parquet, and lanes.geojson. Nobody draws a line: the lanes are those of
     [bold]geoorbit lanes[/bold].
 
@@ -129,7 +132,7 @@ def traffic(
         recorded = source.count()
         _write(folder, source, recorded, scheme, clock)
         _write_page(folder / "report.html", source, recorded, scheme, clock)
-    _tell(source, recorded, scheme)
+    _tell(source, recorded, scheme, clock)
     _say_where(out, recorded, clock)
 
 
@@ -287,6 +290,7 @@ def _write(
 ) -> None:
     from geoorbit_ros.traffic.count import all_measures, all_movements
     from geoorbit_ros.traffic.tables import (
+        event_table,
         interval_table,
         movement_table,
         vehicle_table,
@@ -301,6 +305,7 @@ def _write(
             for measures in all_measures(recorded, scheme, clock)
         ],
         "movements": [movement_table(all_movements(recorded, scheme, clock), scheme, clock)],
+        "events": [event_table(recorded.events)],
     }
     for name, parts in tables.items():
         write_csv(folder / f"{name}.csv", parts)
@@ -327,11 +332,14 @@ def _write_page(
         write_traffic_report(path, content, made, source.reports())
 
 
-def _tell(source: TrafficSource, recorded: Recorded, scheme: ClassScheme) -> None:
-    """One row per lane for the whole recording."""
+def _tell(
+    source: TrafficSource, recorded: Recorded, scheme: ClassScheme, clock: IntervalClock
+) -> None:
+    """One row per lane for the whole recording, and the events."""
     from geoorbit_ros.cli.console import console, count_of, make_table, print_remarks, say
     from geoorbit_ros.report.text import number
     from geoorbit_ros.report.traffic.tables import with_error
+    from geoorbit_ros.report.traffic.text import event_sentences
     from geoorbit_ros.traffic.count import whole_measures
 
     table = make_table(
@@ -358,6 +366,11 @@ def _tell(source: TrafficSource, recorded: Recorded, scheme: ClassScheme) -> Non
             f"{recorded.in_no_lane} of {count_of(recorded.vehicles, 'vehicle')} were seen along no "
             "lane for as far as 5 m, most of them at the edge of the view: they don't count."
         )
+    for sentence in event_sentences(recorded.events, clock.zone)[:SHOWN_EVENTS]:
+        say(sentence)
+    more = len(recorded.events) - SHOWN_EVENTS
+    if more > 0:
+        say(f"{count_of(more, 'more event')} in events.csv.")
     print_remarks(*source.reports())
 
 
