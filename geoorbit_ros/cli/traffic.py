@@ -41,6 +41,8 @@ if TYPE_CHECKING:
     from geoorbit_ros.traffic.count import Recorded
     from geoorbit_ros.traffic.interval_clock import IntervalClock
 
+SHOWN_EVENTS = 10
+"""So many events are told on the console. Chosen: more push the table out of sight."""
 _UNIT_S = {"s": 1, "min": 60, "h": 3600, "d": 86_400}
 
 
@@ -112,9 +114,9 @@ def traffic(
 
     Into the folder go report.html (tables and pictures), vehicles.csv (a row per vehicle and lane),
     intervals.csv (a row per interval, lane and class), movements.csv (from which lane to which),
-    the same as Parquet, and lanes.geojson. Nobody draws a line: the lanes are those of
-    [bold]geoorbit lanes[/bold]. With --map, OUT/sumo has the traffic as a scenario that SUMO runs,
-    and counts with bounds, turns and detectors for its routeSampler and flowrouter.
+    events.csv (stopped and wrong-way vehicles, queues, unused lanes, drops of speed), the same as
+    Parquet, and lanes.geojson. Nobody draws a line: the lanes are those of [bold]geoorbit
+    lanes[/bold]. With --map, OUT/sumo has a scenario that SUMO runs, and counts for its tools.
 
     Example: [bold]geoorbit traffic --tracks tracks.csv --calibration calibration.csv
     --interval 5min --out traffic[/bold]
@@ -142,8 +144,8 @@ def traffic(
         _write(folder, source, recorded, scheme, clock)
         _write_page(folder / "report.html", source, recorded, scheme, clock)
         said = _write_for_sumo(folder / "sumo", road_map, source, recorded, clock)
-    _tell(source, recorded, scheme, said)
-    _say_where(out, recorded, clock)
+    _tell(source, recorded, scheme, clock)
+    _say_where(out, recorded, clock, said)
 
 
 @dataclass(frozen=True)
@@ -304,6 +306,7 @@ def _write(
 ) -> None:
     from geoorbit_ros.traffic.count import all_measures, all_movements
     from geoorbit_ros.traffic.tables import (
+        event_table,
         interval_table,
         movement_table,
         vehicle_table,
@@ -318,6 +321,7 @@ def _write(
             for measures in all_measures(recorded, scheme, clock)
         ],
         "movements": [movement_table(all_movements(recorded, scheme, clock), scheme, clock)],
+        "events": [event_table(recorded.events)],
     }
     for name, parts in tables.items():
         write_csv(folder / f"{name}.csv", parts)
@@ -373,12 +377,13 @@ def _write_for_sumo(
 
 
 def _tell(
-    source: TrafficSource, recorded: Recorded, scheme: ClassScheme, said: Sequence[str]
+    source: TrafficSource, recorded: Recorded, scheme: ClassScheme, clock: IntervalClock
 ) -> None:
-    """One row per lane for the whole recording, and what else is to be said."""
+    """One row per lane for the whole recording, and the events."""
     from geoorbit_ros.cli.console import console, count_of, make_table, print_remarks, say
     from geoorbit_ros.report.text import number
     from geoorbit_ros.report.traffic.tables import with_error
+    from geoorbit_ros.report.traffic.text import event_sentences
     from geoorbit_ros.traffic.count import whole_measures
 
     table = make_table(
@@ -405,14 +410,19 @@ def _tell(
             f"{recorded.in_no_lane} of {count_of(recorded.vehicles, 'vehicle')} were seen along no "
             "lane for as far as 5 m, most of them at the edge of the view: they don't count."
         )
-    for sentence in said:
+    for sentence in event_sentences(recorded.events, clock.zone)[:SHOWN_EVENTS]:
         say(sentence)
+    more = len(recorded.events) - SHOWN_EVENTS
+    if more > 0:
+        say(f"{count_of(more, 'more event')} in events.csv.")
     print_remarks(*source.reports())
 
 
-def _say_where(out: Path, recorded: Recorded, clock: IntervalClock) -> None:
-    from geoorbit_ros.cli.console import console
+def _say_where(out: Path, recorded: Recorded, clock: IntervalClock, said: Sequence[str]) -> None:
+    from geoorbit_ros.cli.console import console, say
 
+    for sentence in said:
+        say(sentence)
     spans = recorded.observed.spans_ns
     watched_s = sum(b - a for a, b in spans) / 1e9
     length_s = (recorded.last_ns - recorded.first_ns) / 1e9

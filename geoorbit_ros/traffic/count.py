@@ -12,6 +12,8 @@ from geoorbit_ros.core.errors import NoTrafficError
 from geoorbit_ros.core.tables import Frames
 from geoorbit_ros.traffic.class_schemes import ClassScheme
 from geoorbit_ros.traffic.counter import Counted, TrafficCounter
+from geoorbit_ros.traffic.event_records import EVENT_DTYPE
+from geoorbit_ros.traffic.events import EventWatch
 from geoorbit_ros.traffic.interval_clock import IntervalClock, ObservedTime
 from geoorbit_ros.traffic.measures import Traffic, measure, measured_lanes
 from geoorbit_ros.traffic.movements import count_movements, find_gates
@@ -28,6 +30,7 @@ class Recorded:
     Attributes:
         counter: What counted them; it has the lanes and the stations.
         observed: When the camera watched.
+        watch: What looked for events.
         first_ns: Stamp of the first frame.
         last_ns: Stamp of the last frame.
         frames: How many frames there were.
@@ -37,12 +40,14 @@ class Recorded:
 
     counter: TrafficCounter
     observed: ObservedTime
+    watch: EventWatch
     first_ns: int = 0
     last_ns: int = 0
     frames: int = 0
     vehicles: int = 0
     in_no_lane: int = 0
     _counted: list[Counted] = field(default_factory=list)
+    _events: list[NDArray[np.void]] = field(default_factory=list)
 
     def add(self, frames: Frames) -> None:
         """Take frames of `TRACK_DTYPE`, later than those before."""
@@ -54,7 +59,9 @@ class Recorded:
         self.frames += len(frames)
         self.observed.add(frames.stamp_ns)
         self.counter.add(frames)
+        self.watch.add(frames)
         self._keep(self.counter.take())
+        self._events.append(self.watch.take())
 
     def finish(self) -> None:
         """Count the vehicles that are still in view."""
@@ -76,6 +83,14 @@ class Recorded:
         """(C,) `CROSSING_DTYPE` of all vehicles."""
         return np.concatenate([np.empty(0, CROSSING_DTYPE), *(c.crossings for c in self._counted)])
 
+    @property
+    def events(self) -> NDArray[np.void]:
+        """(E,) `EVENT_DTYPE`: the newest row of each event, by their beginning."""
+        rows = np.concatenate([np.empty(0, EVENT_DTYPE), *self._events])
+        newest = {int(event): k for k, event in enumerate(rows["event_id"].tolist())}
+        rows = rows[sorted(newest.values())]
+        return np.asarray(rows[np.argsort(rows["first_ns"], kind="stable")])
+
     def traffic(self, scheme: ClassScheme) -> Traffic:
         """What measures are made of."""
         lanes = measured_lanes(self.counter.lanes, self.counter.stations)
@@ -93,7 +108,7 @@ def record(counter: TrafficCounter, blocks: Iterable[Frames], max_gap_s: float) 
     Raises:
         NoTrafficError: There is no frame.
     """
-    recorded = Recorded(counter, ObservedTime(max_gap_s))
+    recorded = Recorded(counter, ObservedTime(max_gap_s), EventWatch(counter.lanes))
     for frames in blocks:
         recorded.add(frames)
     recorded.finish()

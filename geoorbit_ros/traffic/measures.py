@@ -213,7 +213,10 @@ class _Groups:
             out["lane_share"] = count / total
             category = scheme.category_of(crossings["class_id"], crossings["length_m"])
             heavy = scheme.is_heavy[category].astype(np.float64)
-            out["heavy_share"] = self.sums(self.crossing, heavy) / count
+            is_known = (category < len(scheme.categories) - 1).astype(np.float64)
+            known = self.sums(self.crossing, is_known)
+            share = self.sums(self.crossing, heavy) / count
+            out["heavy_share"] = np.where(known > 0.0, share, np.nan)
 
     def _unsure(self) -> _Index:
         """Vehicles that were seen in a lane but didn't cross its station: some were lost."""

@@ -22,8 +22,8 @@ FREEDOM = 1.0
 otherwise. Chosen: more makes the errors of sharp places too large, fewer makes the error of short
 passages a guess."""
 SAME_ERROR_S = 0.4
-"""Places of one vehicle within this time have the same error. Measured: with it, errors of speeds are
-within their 1 sigma in 74 % of the simulated scenes' passages (docs/results.md), 68 % expected."""
+"""Places of one vehicle within this time have the same error. Measured: with it, 74 % of speeds in
+simulated scenes are within their 1 sigma (docs/results.md), where 68 % are expected."""
 VEHICLE_SCALE = 0.002
 """1-sigma relative error of a vehicle's speed that its places don't show: the point that is taken
 for its place moves along it while it comes nearer."""

@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from geoorbit_ros.traffic.class_schemes import ClassScheme
+from geoorbit_ros.traffic.event_records import EventKind, EventState
 from geoorbit_ros.traffic.interval_clock import IntervalClock
 from geoorbit_ros.traffic.measures import ALL, MEASURE_DTYPE
 from geoorbit_ros.traffic.records import NO_LANE
@@ -29,6 +30,16 @@ DECIMALS = {
     "platoon_share": 4,
 }
 """Digits after the point, where not two or three. More than the errors allow would be untrue."""
+
+
+EVENT_NAMES = {
+    EventKind.STOPPED: "stopped_vehicle",
+    EventKind.WRONG_WAY: "wrong_way",
+    EventKind.QUEUE: "queue",
+    EventKind.LANE_UNUSED: "lane_unused",
+    EventKind.SPEED_DROP: "speed_drop",
+}
+"""Kinds of events in the column `kind`."""
 
 
 def vehicle_table(passages: NDArray[np.void], scheme: ClassScheme) -> pa.Table:
@@ -90,6 +101,35 @@ def movement_table(
             "to_lane": movements["to_lane"],
             "class": _names(movements["category"], scheme),
             "volume": movements["volume"],
+        }
+    )
+
+
+def event_table(events: NDArray[np.void]) -> pa.Table:
+    """One row per event, as it was last told; see `event_records.EVENT_DTYPE`.
+
+    Times are in seconds on the clock of the tracks, places in metres of the map frame.
+    """
+    ended = events["state"] == EventState.ENDED
+    return pa.table(
+        {
+            "event_id": events["event_id"],
+            "kind": pa.array([EVENT_NAMES[EventKind(k)] for k in events["kind"]], pa.string()),
+            "time_first_s": _seconds(events["first_ns"]),
+            "time_last_s": _seconds(events["last_ns"]),
+            "ended": ended,
+            "lane_id": _lanes(events["lane_id"]),
+            "track_id": events["track_id"],
+            "along_m": _rounded(events["arc_m"], 1),
+            "x_m": _rounded(events["x"], 2),
+            "y_m": _rounded(events["y"], 2),
+            "vehicles": events["vehicles"],
+            "queue_m": _rounded(
+                np.where(events["kind"] == EventKind.QUEUE, events["length_m"], np.nan), 1
+            ),
+            "speed_kmh": _rounded(3.6 * events["speed_mps"], 1),
+            "usual_speed_kmh": _rounded(3.6 * events["usual_mps"], 1),
+            "by_chance_s": _rounded(events["by_chance_s"], 0),
         }
     )
 

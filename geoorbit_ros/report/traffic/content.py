@@ -57,6 +57,7 @@ class TrafficContent:
         movements: `movements.MOVEMENT_DTYPE` of the whole recording, for all classes together.
         window_ns: First and last stamp of the part that is shown vehicle by vehicle.
         tracks: `lane_tracks.LANE_TRACK_DTYPE` of that part.
+        events: `event_records.EVENT_DTYPE`, the newest row of each event.
     """
 
     camera_id: str
@@ -74,6 +75,7 @@ class TrafficContent:
     movements: NDArray[np.void]
     window_ns: tuple[int, int]
     tracks: NDArray[np.void]
+    events: NDArray[np.void]
 
     @property
     def duration_s(self) -> float:
@@ -165,6 +167,7 @@ def traffic_content(
         np.asarray(movements[movements["category"] == -1]),
         window_ns,
         lane_tracks(recorded.counter.lanes, frames),
+        recorded.events,
     )
 
 

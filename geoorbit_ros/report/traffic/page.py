@@ -26,6 +26,7 @@ from geoorbit_ros.report.traffic.tables import (
 from geoorbit_ros.report.traffic.text import (
     counting_notes,
     duration_text,
+    event_sentences,
     lead_sentences,
     moment_text,
     station_title,
@@ -79,6 +80,7 @@ def traffic_sections(content: TrafficContent) -> str:
     return "".join(
         (
             section("Traffic per lane", _per_station(content, lane_table) + _notes(content)),
+            section("Events", _events(content)),
             section("Where it was counted", _map(content, scale)),
             section("Flow and speed over time", _per_station(content, _over_time)),
             section("Speed and flow", _per_station(content, _speed_flow)),
@@ -138,6 +140,13 @@ def _notes(content: TrafficContent) -> str:
         "dash: not known."
     )
     return f'<p class="note">{escape(words)}</p>{bullets(counting_notes(content))}'
+
+
+def _events(content: TrafficContent) -> str:
+    """A sentence each, or that there were none."""
+    if not len(content.events):
+        return "<p>No stopped or wrong-way vehicle, queue, unused lane or drop of speed.</p>"
+    return bullets(event_sentences(content.events, content.clock.zone))
 
 
 def _map(content: TrafficContent, scale: SpeedScale) -> str:

@@ -6,10 +6,12 @@ from datetime import datetime
 from zoneinfo import ZoneInfo
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geoorbit_ros.report.text import compass, count, number
 from geoorbit_ros.report.traffic.content import TrafficContent
 from geoorbit_ros.report.traffic.tables import UNKNOWN_NUMBER, heavy_text, with_error
+from geoorbit_ros.traffic.event_records import EventKind, EventState
 from geoorbit_ros.traffic.interval_clock import CLOCK_SINCE_NS, NS
 from geoorbit_ros.traffic.records import NO_LANE
 from geoorbit_ros.traffic.stations import Station
@@ -73,6 +75,38 @@ def _station_sentence(content: TrafficContent, station: Station, *, first: bool)
         f"{begin} {towards(station)}{where}, at {speed} km/h{'' if one else ' on average'}{spread}"
         f"{'' if one else lorries}."
     )
+
+
+def event_sentences(events: NDArray[np.void], zone: str) -> list[str]:
+    """One sentence per event.
+
+    Args:
+        events: (E,) `event_records.EVENT_DTYPE`, the newest row of each event.
+        zone: IANA name of the time zone.
+    """
+    return [_event_sentence(row, zone) for row in events]
+
+
+def _event_sentence(row: np.void, zone: str) -> str:
+    kind, lane = EventKind(int(row["kind"])), f"lane {row['lane_id']}"
+    begin, end = (moment_text(int(row[name]), zone) for name in ("first_ns", "last_ns"))
+    time = f"from {begin} to {end}"
+    if row["state"] != EventState.ENDED:
+        time = f"since {begin}, still there at {end}"
+    at = f"{number(row['arc_m'], 0)} m along it"
+    speed = f"{number(3.6 * row['speed_mps'], 0)} km/h"
+    words = {
+        EventKind.STOPPED: f"Stopped vehicle in {lane}, {at}, {time} (track {row['track_id']}).",
+        EventKind.WRONG_WAY: f"Vehicle against the direction of {lane}, at {speed}, {time} "
+        f"(track {row['track_id']}).",
+        EventKind.QUEUE: f"Queue in {lane}, {count(int(row['vehicles']), 'vehicle')} over "
+        f"{number(row['length_m'], 0)} m, its tail {at}, {time}.",
+        EventKind.LANE_UNUSED: f"Nobody in {lane} {time}, while "
+        f"{count(int(row['vehicles']), 'vehicle')} drove beside it.",
+        EventKind.SPEED_DROP: f"Vehicles in {lane} at {speed} instead of "
+        f"{number(3.6 * row['usual_mps'], 0)} km/h, {time}.",
+    }
+    return words[kind]
 
 
 def counting_notes(content: TrafficContent) -> list[str]:

@@ -7,9 +7,10 @@ import re
 from collections import Counter
 from pathlib import Path
 
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from camera_files import CameraFiles
+from camera_files import CameraFiles, to_pixel
 from page_checker import check_page
 
 from geoorbit_ros.cli.inputs import load_camera
@@ -73,6 +74,27 @@ def test_parquet_says_the_same_as_csv(found: Path, name: str) -> None:
         for key, value in a.items():
             shown = "" if value is None else value
             assert b[key] == shown or float(b[key]) == pytest.approx(float(value), abs=1e-9)
+
+
+def test_a_vehicle_that_drives_against_its_lane_is_an_event(
+    camera: CameraFiles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    x_m = np.arange(100.0, 10.0, -1.5)
+    pixel = to_pixel(np.column_stack((x_m, np.full_like(x_m, -3.5))))
+    wrong = tmp_path / "tracks.csv"
+    extra = [
+        f"999,{40.0 + k / 10:.1f},{400 + k},2,0.9,{u:.2f},{v:.2f},0,0"
+        for k, (u, v) in enumerate(pixel)
+    ]
+    wrong.write_text(camera.tracks.read_text() + "\n".join(extra) + "\n")
+    out = tmp_path / "out"
+    words = ("--tracks", wrong, "--calibration", camera.calibration, "--lanes", camera.truth)
+    assert main([str(w) for w in ("traffic", *words, "--out", out)]) == 0
+    (event,) = rows(out / "events.csv")
+    assert (event["kind"], event["track_id"], event["lane_id"]) == ("wrong_way", "999", "2")
+    assert float(event["speed_kmh"]) == pytest.approx(54.0, abs=3.0)
+    assert "against the direction of lane 2" in capsys.readouterr().out
+    assert "against the direction of lane 2" in (out / "report.html").read_text(encoding="utf-8")
 
 
 def test_the_lanes_are_found_where_none_are_given(
