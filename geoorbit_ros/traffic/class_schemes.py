@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -122,6 +123,26 @@ def _tls() -> ClassScheme:
 
 SCHEMES: Mapping[str, ClassScheme] = {s.name: s for s in (_coco(), _fhwa(), _tls())}
 """Schemes by name."""
+
+
+def scheme_text(scheme: ClassScheme) -> str:
+    """A scheme as it is stored beside what was counted with it: name, categories, heavy ones."""
+    heavy = [name for name in scheme.categories if name in scheme.heavy]
+    return json.dumps({"name": scheme.name, "categories": scheme.categories, "heavy": heavy})
+
+
+def stored_scheme(text: str) -> ClassScheme:
+    """The scheme of `scheme_text`, without its rules: for the names in tables.
+
+    Raises:
+        ParameterError: Another text.
+    """
+    try:
+        content = json.loads(text)
+        names, heavy = tuple(content["categories"]), frozenset(content["heavy"])
+        return ClassScheme(content["name"], names, (), heavy)
+    except (ValueError, KeyError, TypeError):
+        raise ParameterError("stored class scheme", f"'{text}'", "name and categories") from None
 
 
 class RuleEntry(BaseModel):
