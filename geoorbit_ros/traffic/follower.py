@@ -6,15 +6,13 @@ later, and a counter that was stopped goes on where it was: the same intervals, 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from itertools import islice
 
 import numpy as np
 
-from geoorbit_ros.calibration.plane import RoadPlane
 from geoorbit_ros.core.errors import GeoOrbitError
-from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.storage.database.traffic import (
     SeriesName,
     TrafficDatabase,
@@ -31,7 +29,7 @@ from geoorbit_ros.traffic.records import CROSSING_DTYPE, PASSAGE_DTYPE
 STEP_BATCHES = 256
 """Stored batches counted in one step. Chosen: three minutes of tracks, a tenth of a second of work;
 more keeps a node from its other work, less catches up slower."""
-ParseLanes = Callable[[str], Sequence[Lane]]
+ParseLanes = Callable[[str], StampedLanes]
 """From a lane map's text to its lanes."""
 
 
@@ -59,7 +57,6 @@ class TrafficFollower:
         scheme: Classes.
         clock: Intervals.
         parse: Reads lane maps.
-        plane: See `TrafficCounter`.
 
     Attributes:
         live: The counter; None while there are no tracks or no lanes.
@@ -73,10 +70,9 @@ class TrafficFollower:
         scheme: ClassScheme,
         clock: IntervalClock,
         parse: ParseLanes,
-        plane: RoadPlane | None = None,
     ) -> None:
         self._database, self._camera = database, camera_id
-        self._scheme, self._clock, self._plane = scheme, clock, plane
+        self._scheme, self._clock = scheme, clock
         self.series = SeriesName(camera_id, clock.length_s, clock.zone, scheme_text(scheme))
         self._parse = parse
         self._resume_ns = database.traffic_end(self.series)
@@ -122,7 +118,7 @@ class TrafficFollower:
         elif self._first_lanes() is None:
             return None
         self._next_ns = from_ns
-        return LiveTraffic(self._scheme, self._clock, self._lanes_at, self._plane, resume)
+        return LiveTraffic(self._scheme, self._clock, self._lanes_at, resume)
 
     def _resume(self, from_ns: int) -> Resume:
         packed = self._database.traffic_vehicles(self._camera, from_ns - LEAD_NS, from_ns)
@@ -155,9 +151,8 @@ class TrafficFollower:
     def _lanes(self, stamp_ns: int, text: str) -> StampedLanes | None:
         """The lanes of a map; None where none is confirmed yet."""
         if stamp_ns not in self._maps:
-            lanes = self._parse(text)
-            counts = any(lane.status == "confirmed" for lane in lanes)
-            self._maps[stamp_ns] = text, StampedLanes(stamp_ns, lanes) if counts else None
+            found = replace(self._parse(text), stamp_ns=stamp_ns)
+            self._maps[stamp_ns] = text, found if found.counts else None
         return self._maps[stamp_ns][1]
 
     def _store(self, finished: Finished) -> None:

@@ -40,6 +40,9 @@ result; longer tells vehicles later."""
 HOLD_NS = 600_000_000_000
 """Frames of this long wait for the first lane map. Chosen: lanes are found within minutes; longer
 takes memory."""
+KEPT_MAPS = 100
+"""Maps of a topic that are kept. Chosen: eight minutes of updates every five seconds; the one that
+is chosen is at most seconds old."""
 SAME_M = 0.3
 """Lanes that moved less are the same. Chosen: a tenth of a lane; less changes the map in use with
 every update, more leaves vehicles beside a lane that was found better."""
@@ -58,10 +61,17 @@ class StampedLanes:
     Attributes:
         stamp_ns: When the map was made, on the clock of the tracks.
         lanes: At least one, in the tracks' frame.
+        plane: The calibration in that frame, see `TrafficCounter`.
     """
 
     stamp_ns: int
     lanes: Sequence[Lane]
+    plane: RoadPlane | None = None
+
+    @property
+    def counts(self) -> bool:
+        """Whether a lane is confirmed: before, nothing is counted."""
+        return any(lane.status == "confirmed" for lane in self.lanes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +92,24 @@ class Resume:
 
 LanesAt = Callable[[int], StampedLanes | None]
 """The newest lanes that are not later than a stamp, or the first ones; None: there are none yet."""
+
+
+class MapShelf:
+    """Lane maps as they come on a topic; those with a confirmed lane count."""
+
+    def __init__(self) -> None:
+        self._maps = list[StampedLanes]()
+
+    def put(self, found: StampedLanes) -> None:
+        """Take a map; those that are later are of a source that has started again since."""
+        if found.counts:
+            earlier = [other for other in self._maps if other.stamp_ns < found.stamp_ns]
+            self._maps = [*earlier[-KEPT_MAPS:], found]
+
+    def lanes_at(self, stamp_ns: int) -> StampedLanes | None:
+        """See `LanesAt`."""
+        earlier = [found for found in self._maps if found.stamp_ns <= stamp_ns]
+        return earlier[-1] if earlier else self._maps[0] if self._maps else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +161,6 @@ class LiveTraffic:
         scheme: Classes.
         clock: Intervals.
         lanes_at: Gives lane maps.
-        plane: See `TrafficCounter`.
         resume: Where a counter that was stopped goes on.
         max_gap_s: See `ObservedTime`.
 
@@ -147,12 +174,11 @@ class LiveTraffic:
         scheme: ClassScheme,
         clock: IntervalClock,
         lanes_at: LanesAt,
-        plane: RoadPlane | None = None,
         resume: Resume | None = None,
         max_gap_s: float = GAP_S,
     ) -> None:
         self.scheme, self.clock = scheme, clock
-        self._lanes_at, self._plane, self._resume = lanes_at, plane, resume
+        self._lanes_at, self._resume = lanes_at, resume
         self._observed = ObservedTime(max_gap_s)
         self._counter: TrafficCounter | None = None
         self._maps: list[MapInUse] = []
@@ -231,7 +257,7 @@ class LiveTraffic:
         found = self._lanes_at(begin_ns)
         if found is None:
             return False
-        self._counter = TrafficCounter(found.lanes, self._plane)
+        self._counter = TrafficCounter(found.lanes, found.plane)
         if self._resume is not None:
             self._counter.vehicles = self._resume.vehicles
         self._use(found, begin_ns)

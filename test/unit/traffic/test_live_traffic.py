@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from datetime import UTC, datetime
 
 import numpy as np
 import pytest
-from made_lane_traffic import Stream, straight, traffic
+from made_traffic_days import (
+    CLOCK,
+    LANES,
+    MOVED,
+    NS,
+    SCHEME,
+    SUMMER_ENDS_NS,
+    blocks,
+    day,
+    lane,
+    offline,
+    without,
+)
 from numpy.typing import NDArray
 
-from geoorbit_ros.core.lanes import Lane, lane_of_map
-from geoorbit_ros.core.polylines import offset_line
+from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.tables import TRACK_DTYPE, Frames
-from geoorbit_ros.traffic.class_schemes import SCHEMES
-from geoorbit_ros.traffic.count import Recorded, all_measures, record
-from geoorbit_ros.traffic.counter import TrafficCounter
-from geoorbit_ros.traffic.interval_clock import GAP_S, IntervalClock
+from geoorbit_ros.traffic.interval_clock import IntervalClock
 from geoorbit_ros.traffic.live import (
     LEAD_NS,
     Finished,
@@ -34,69 +41,6 @@ from geoorbit_ros.traffic.packed import (
 )
 from geoorbit_ros.traffic.tables import interval_table, vehicle_table
 from geoorbit_ros.traffic.track_links import LONGEST_NS, cut_ns
-
-NS = 1_000_000_000
-SCHEME = SCHEMES["coco"]
-CLOCK = IntervalClock(60, "Europe/Berlin")
-SUMMER_ENDS_NS = int(datetime(2026, 10, 25, 1, tzinfo=UTC).timestamp()) * NS
-
-
-def lane(lane_id: int, offset_m: float) -> Lane:
-    line = straight(offset_m=offset_m)(np.arange(0.0, 121.0, 2.0))
-    return lane_of_map(lane_id, line, offset_line(line, 1.75), offset_line(line, -1.75))
-
-
-LANES = [lane(3, 0.0), lane(5, 3.5)]
-MOVED = [lane(3, 0.5), lane(5, 4.0), lane(7, 7.0)]
-
-
-def day(begin_ns: int, minutes: int, seed: int = 0, vehicles: int = 8) -> Frames:
-    """Minutes of traffic, with frames of an empty road between."""
-    streams = [Stream(straight(offset_m=3.5 * k), vehicles) for k in range(2)]
-    parts = [traffic(streams, seed + k) for k in range(minutes)]
-    stamps = [p.stamp_ns + begin_ns + 60 * NS * k for k, p in enumerate(parts)]
-    rows = [p.rows.copy() for p in parts]
-    for k, table in enumerate(rows):
-        table["track_id"] += 1000 * k
-        table["length"], table["score"] = 4.5, 0.9
-    count = np.concatenate([np.diff(p.offset) for p in parts])
-    when = np.concatenate(stamps)
-    grid = np.arange(begin_ns, begin_ns + minutes * 60 * NS, NS // 2)
-    empty = np.setdiff1d(grid, when)
-    order = np.argsort(np.append(when, empty), kind="stable")
-    counts = np.append(count, np.zeros(len(empty), np.int64))[order]
-    offset = np.append(0, np.cumsum(counts)).astype(np.int64)
-    return Frames(np.append(when, empty)[order], offset, np.concatenate(rows))
-
-
-def cut(frames: Frames, begin: int, end: int) -> Frames:
-    offset = frames.offset[begin : end + 1]
-    rows = frames.rows[offset[0] : offset[-1]]
-    return Frames(frames.stamp_ns[begin:end], offset - offset[0], rows)
-
-
-def without(frames: Frames, begin_ns: int, end_ns: int) -> Frames:
-    """An outage."""
-    kept = (frames.stamp_ns < begin_ns) | (frames.stamp_ns >= end_ns)
-    counts = np.diff(frames.offset)
-    return Frames(
-        frames.stamp_ns[kept],
-        np.append(0, np.cumsum(counts[kept])).astype(np.int64),
-        frames.rows[np.repeat(kept, counts)],
-    )
-
-
-def blocks(frames: Frames, seed: int, most: int = 400) -> Iterator[Frames]:
-    random, k = np.random.default_rng(seed), 0
-    while k < len(frames):
-        step = int(random.integers(1, most))
-        yield cut(frames, k, min(k + step, len(frames)))
-        k += step
-
-
-def offline(frames: Frames, clock: IntervalClock = CLOCK) -> tuple[Recorded, NDArray[np.void]]:
-    recorded = record(TrafficCounter(LANES), [frames], GAP_S)
-    return recorded, np.concatenate(list(all_measures(recorded, SCHEME, clock)))
 
 
 def fixed(lanes: Sequence[Lane]) -> LiveTraffic:
@@ -170,14 +114,14 @@ def test_hours_that_come_twice_have_their_intervals_twice() -> None:
 def test_a_counter_that_was_stopped_goes_on_with_the_same_bytes(stopped_at: float) -> None:
     frames = day(SUMMER_ENDS_NS, 80, vehicles=4)
     stop = int(stopped_at * len(frames))
-    before = run(fixed(LANES), blocks(cut(frames, 0, stop), 1))
+    before = run(fixed(LANES), blocks(frames.part(0, stop), 1))
     from_ns = int(before[-1].edges_ns[-1])
     _, passages = joined(before)
     known = unpack_passages(pack_passages(passages))
     resume = Resume(from_ns, int(known["vehicle_id"].max()), known)
     begin = int(np.searchsorted(frames.stamp_ns, from_ns - LEAD_NS))
     live = LiveTraffic(SCHEME, CLOCK, lambda _: StampedLanes(0, LANES), resume=resume)
-    after = run(live, blocks(cut(frames, begin, len(frames)), 2))
+    after = run(live, blocks(frames.part(begin, len(frames)), 2))
     assert int(after[0].edges_ns[0]) == from_ns
     assert_same_bytes(before + after, frames)
     told = live.gone().passages
