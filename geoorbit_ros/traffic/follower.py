@@ -122,7 +122,7 @@ class TrafficFollower:
 
     def _resume(self, from_ns: int) -> Resume:
         packed = self._database.traffic_vehicles(self._camera, from_ns - LEAD_NS, from_ns)
-        passages = unpack_passages(packed) if len(packed) else np.empty(0, PASSAGE_DTYPE)
+        passages = unpack_passages(packed)
         return Resume(from_ns, self._database.traffic_newest_vehicle(self._camera), passages)
 
     def _lanes_at(self, at_ns: int) -> StampedLanes | None:

@@ -65,11 +65,10 @@ def unpack_measures(packed: NDArray[np.void]) -> NDArray[np.void]:
     out = np.zeros(len(packed), MEASURE_DTYPE)
     there = packed.dtype.names or ()
     for name in MEASURE_DTYPE.names or ():
-        if MEASURE_DTYPE[name].kind != "f":
-            out[name] = packed[name]
-        elif name in there:
-            out[name] = _number(packed[name]) / _scale(name)
-        else:
+        whole = MEASURE_DTYPE[name].kind != "f"
+        if name in there:
+            out[name] = packed[name] if whole else _number(packed[name]) / _scale(name)
+        elif not whole:
             out[name] = np.nan
     return out
 
@@ -90,6 +89,8 @@ def pack_passages(passages: NDArray[np.void]) -> NDArray[np.void]:
 def unpack_passages(packed: NDArray[np.void]) -> NDArray[np.void]:
     """(P,) `PASSAGE_DTYPE`."""
     out = np.zeros(len(packed), PASSAGE_DTYPE)
+    if not len(packed):
+        return out
     for name in _AS_THEY_ARE:
         out[name] = packed[name]
     for end in ("first", "last"):
