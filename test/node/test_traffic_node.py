@@ -39,6 +39,14 @@ def stored_until(path: Path) -> int:
         return max(content.end_ns for content in reader.cameras())
 
 
+def wait_stored(probe: Probe, path: Path, last_ns: int) -> None:
+    probe.until(lambda: stored_until(path) == last_ns, "all frames stored")
+
+
+def wait_intervals(run: Composition, node: TrafficNode, count: int) -> None:
+    run.wait(lambda: node.intervals == count, LIMIT_S, f"{count} intervals")
+
+
 def expected(frames: Frames, until_ns: int) -> np.ndarray:
     _, rows = offline(frames, lanes=AS_READ)
     return point_table(rows[rows["start_ns"] < until_ns])
@@ -76,11 +84,10 @@ def test_intervals_are_stored_beside_the_tracks_and_go_on_after_a_restart(
     half = int(np.searchsorted(frames.stamp_ns, SUMMER_ENDS_NS + 150 * 10**9))
     for part in (frames.part(0, half), frames.part(half, len(frames))):
         send_all(probe, part)
-        last_ns = int(part.stamp_ns[-1])
-        probe.until(lambda last_ns=last_ns: stored_until(path) == last_ns, "all frames stored")
+        wait_stored(probe, path, int(part.stamp_ns[-1]))
         with Composition(quiet=True) as run:  # it takes nothing from topics
             node = run.make(TrafficNode, "north", GIVEN | database)
-            run.wait(lambda node=node: node.intervals == 2, LIMIT_S, "two intervals")
+            wait_intervals(run, node, 2)
     with TrafficReader(path) as reader:
         (series,) = reader.traffic_series()
         assert (series.intervals, series.start_ns) == (4, SUMMER_ENDS_NS)
