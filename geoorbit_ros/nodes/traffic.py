@@ -143,15 +143,20 @@ class TrafficNode(GeoOrbitNode[TrafficParameters]):
 
     def _on_frame(self, stamp_ns: int, rows: NDArray[np.void]) -> None:
         self._live.add(one_frame(stamp_ns, rows))
-        finished = self._live.finished()
-        self._publish(self._live.gone(), finished)
+        self._publish_new()
 
     def _on_lanes(self, cdr: bytes) -> None:
         try:
             text = decode_string(cdr, self._geojson_topic)
             self._shelf.put(self._reader.read(text))
+            self._live.start()
+            self._publish_new()
         except GeoOrbitError as error:
             self.diagnostics.refuse(error)
+
+    def _publish_new(self) -> None:
+        finished = self._live.finished()
+        self._publish(self._live.gone(), finished)
 
     def _step(self) -> None:
         """Count what is stored; while more may wait, at every turn of the executor."""

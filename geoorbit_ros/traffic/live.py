@@ -207,10 +207,7 @@ class LiveTraffic:
             self._held.append(frames)
             held_ns = int(frames.stamp_ns[-1]) - HOLD_NS
             self._held = [part for part in self._held if part.stamp_ns[-1] >= held_ns]
-            if self._start(int(self._held[0].stamp_ns[0])):
-                held, self._held = self._held, []
-                for part in held:
-                    self.add(part)
+            self.start()
             return
         while True:
             # What is before the moment of choice is counted on the map in use.
@@ -221,6 +218,13 @@ class LiveTraffic:
                 break
             self._choose_map(int(frames.stamp_ns[k]))
             frames = frames.part(k, len(frames))
+
+    def start(self) -> None:
+        """Count the frames that wait, if there is a map by now."""
+        if self._held and self._start(int(self._held[0].stamp_ns[0])):
+            held, self._held = self._held, []
+            for part in held:
+                self.add(part)
 
     def gone(self) -> Counted:
         """Passages and crossings of vehicles that were counted since the last call."""

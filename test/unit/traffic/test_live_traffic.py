@@ -210,6 +210,16 @@ def test_frames_wait_for_the_first_map() -> None:
     assert_same_bytes(found, frames)
 
 
+def test_a_map_that_comes_after_all_frames_counts_them() -> None:
+    frames = day(SUMMER_ENDS_NS, 3)
+    known: list[StampedLanes] = []
+    live = LiveTraffic(SCHEME, CLOCK, lambda _: known[0] if known else None)
+    assert run(live, blocks(frames, 0)) == []
+    known.append(StampedLanes(0, LANES))
+    live.start()
+    assert_same_bytes(live.finished(), frames)
+
+
 def test_what_is_packed_gives_the_same_tables() -> None:
     recorded, measures = offline(day(SUMMER_ENDS_NS, 5))
     again = unpack_measures(pack_measures(measures))
