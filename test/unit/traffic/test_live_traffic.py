@@ -153,6 +153,25 @@ def test_a_parked_vehicle_holds_intervals_back_for_half_an_hour_at_most() -> Non
     assert recorded.vehicles - recorded.in_no_lane == 2 * 2 * 50
 
 
+@pytest.mark.parametrize("stands_at_m", [30.0, 58.0, 62.0, 90.0])
+def test_who_stands_for_long_crosses_the_line_once(stands_at_m: float) -> None:
+    """Its path is cut, as nothing tells it from a parked vehicle; its crossing is one."""
+    time_s = np.arange(0.0, 2000.0, 0.1)
+    x = np.minimum(10.0 * time_s, stands_at_m)
+    x = np.maximum(x, 10.0 * (time_s - 1900.0))
+    kept = x < 120.0
+    rows = np.zeros(int(kept.sum()), TRACK_DTYPE)
+    noise = np.random.default_rng(0).normal(0.0, 0.1, (2, len(rows)))
+    rows["x"], rows["y"] = x[kept] + noise[0], noise[1]
+    rows["track_id"], rows["class_id"], rows["sigma"], rows["score"] = 1, 2, 0.1, 0.9
+    stamps = SUMMER_ENDS_NS + np.round(time_s[kept] * 1e9).astype(np.int64)
+    frames = Frames(stamps, np.arange(len(rows) + 1), rows)
+    recorded, _ = offline(frames)
+    assert len(recorded.crossings) == 1
+    assert recorded.vehicles > 1
+    assert (recorded.passages["lane_id"] == 3).all()
+
+
 def test_paths_are_cut_at_the_same_times_wherever_one_begins_to_read() -> None:
     for begin_ns in np.random.default_rng(0).integers(0, 10**15, 200).tolist():
         at_ns = cut_ns(begin_ns)
