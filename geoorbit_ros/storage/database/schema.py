@@ -267,6 +267,39 @@ def decode_rows(data: bytes, rows: int) -> NDArray[np.void]:
     Raises:
         ValueError, zlib.error: Bytes that are no such table of `rows` rows.
     """
+    dtype, planes = _planes(data, rows)
+    return _restored(planes, dtype)
+
+
+def decode_tables(packed: Sequence[tuple[bytes, int]]) -> list[NDArray[np.void]]:
+    """Unpack many tables, each with its number of rows; those of the same columns become one.
+
+    Raises:
+        ValueError, zlib.error: See `decode_rows`.
+    """
+    groups = list[tuple[np.dtype[np.void], list[NDArray[np.uint8]]]]()
+    for data, rows in packed:
+        dtype, planes = _planes(data, rows)
+        if not groups or groups[-1][0] != dtype:
+            groups.append((dtype, []))
+        groups[-1][1].append(planes)
+    return [_side_by_side(dtype, parts) for dtype, parts in groups]
+
+
+def _side_by_side(dtype: np.dtype[np.void], parts: list[NDArray[np.uint8]]) -> NDArray[np.void]:
+    """Tables below one another; each byte is copied once."""
+    size = dtype.itemsize
+    out = np.empty((sum(len(part) for part in parts) // size, size), np.uint8)
+    begin = 0
+    for part in parts:
+        end = begin + len(part) // size
+        out[begin:end] = part.reshape(size, -1).T
+        begin = end
+    return out.view(dtype).ravel()
+
+
+def _planes(data: bytes, rows: int) -> tuple[np.dtype[np.void], NDArray[np.uint8]]:
+    """Columns and bytes of a packed table."""
     raw = zlib.decompress(data)
     end = 4 + int.from_bytes(raw[:4], "little")
     try:
@@ -275,7 +308,7 @@ def decode_rows(data: bytes, rows: int) -> NDArray[np.void]:
         raise ValueError(f"columns that can't be read: {error}") from None
     if dtype.itemsize == 0 or len(raw) - end != rows * dtype.itemsize:
         raise ValueError(f"{len(raw) - end} bytes for {rows} rows of {dtype.itemsize}")
-    return _restored(np.frombuffer(raw, np.uint8, offset=end), dtype)
+    return dtype, np.frombuffer(raw, np.uint8, offset=end)
 
 
 def _transposed(values: NDArray[Any]) -> bytes:

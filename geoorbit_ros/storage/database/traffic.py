@@ -14,7 +14,12 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import InputFileError
 from geoorbit_ros.storage.database.reader import TrajectoryReader
-from geoorbit_ros.storage.database.schema import decode_rows, encode_rows, faults_as_sentences
+from geoorbit_ros.storage.database.schema import (
+    decode_rows,
+    decode_tables,
+    encode_rows,
+    faults_as_sentences,
+)
 from geoorbit_ros.storage.database.writer import PRUNE_STEP, TrajectoryDatabase
 
 BLOCK_INTERVALS = 96
@@ -238,7 +243,7 @@ class TrafficReader(TrajectoryReader):
                 " AND start_ns < ?3 ORDER BY start_ns",
                 (key, start_ns, end_ns),
             )
-            return _joined([decode_rows(data, count) for data, count in found])
+            return _joined(decode_tables(found.fetchall()))
 
 
 class TrafficDatabase(TrajectoryDatabase, TrafficReader):
@@ -363,6 +368,8 @@ def _joined(tables: Sequence[NDArray[np.void]]) -> NDArray[np.void]:
     """Tables below one another, with the columns that all of them have."""
     if not tables:
         return np.empty(0, np.dtype([]))
+    if len(tables) == 1:
+        return tables[0]
     if all(table.dtype == tables[0].dtype for table in tables):
         return np.concatenate(tables)
     names = [
