@@ -45,6 +45,9 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument("bag", default_value="", description="Play this; empty: live."),
         DeclareLaunchArgument("rate", default_value="1.0", description="Speed of the bag."),
         DeclareLaunchArgument("database", default_value="", description="Record into this file."),
+        DeclareLaunchArgument(
+            "timezone", default_value="UTC", description="Of traffic intervals, Europe/Berlin."
+        ),
         DeclareLaunchArgument("rviz", default_value="false", description="Show it in RViz."),
         DeclareLaunchArgument(
             "params_file",
@@ -115,6 +118,7 @@ def one_camera_nodes() -> list[Node]:
     model = LaunchConfiguration("model")
     calibration = LaunchConfiguration("calibration")
     database = LaunchConfiguration("database")
+    timezone = LaunchConfiguration("timezone")
     params_file = LaunchConfiguration("params_file")
     from_source = NotEqualsSubstitution(source, "")
     from_bag = NotEqualsSubstitution(bag, "")
@@ -167,6 +171,16 @@ def one_camera_nodes() -> list[Node]:
             namespace=camera_id,
             parameters=[params_file, sim_time, {"database": database}],
             condition=IfCondition(NotEqualsSubstitution(database, "")),
+        ),
+        Node(
+            package=PACKAGE,
+            executable="traffic",
+            namespace=camera_id,
+            parameters=[
+                params_file,
+                sim_time,
+                {"database": database, "timezone": timezone, "calibration_file": calibration},
+            ],
         ),
         Node(
             package=PACKAGE,

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from geoorbit_ros.core.errors import ParameterError
+
 if TYPE_CHECKING:
+    import pyarrow as pa
+
     from geoorbit_ros.lanes.lanes_over_time import LanesOverTime
     from geoorbit_ros.storage.database.reader import TrajectoryReader
+    from geoorbit_ros.storage.database.traffic import SeriesContent, SeriesName, TrafficReader
 
 app = typer.Typer(
     help="Look into the trajectory database that the recorder writes; export it.",
@@ -17,20 +23,31 @@ app = typer.Typer(
 )
 
 DatabaseArgument = Annotated[Path, typer.Argument(help="The recorder's SQLite file.")]
+
+
+class StoredTable(StrEnum):
+    """What can be exported."""
+
+    TRACKS = "tracks"
+    INTERVALS = "intervals"
+    VEHICLES = "vehicles"
+
+
 _TIME_HELP = "2026-05-01T06:00 (UTC without an offset), or seconds on the stamps' clock."
 
 
 @app.command("info")
 def info(database: DatabaseArgument) -> None:
-    """Show what is stored: cameras, times, frames, vehicles, lane maps.
+    """Show what is stored: cameras, times, frames, vehicles, lane maps, traffic.
 
     Example: [bold]geoorbit db info trajectories.db[/bold]
     """
     from geoorbit_ros.cli.console import console, count_of, format_size, format_time, make_table
-    from geoorbit_ros.storage.database.reader import TrajectoryReader
+    from geoorbit_ros.storage.database.traffic import TrafficReader
 
-    with TrajectoryReader(database) as reader:
-        cameras = reader.cameras()
+    with TrafficReader(database) as reader:
+        cameras, series = reader.cameras(), reader.traffic_series()
+        vehicles = {c.camera_id: reader.traffic_vehicle_count(c.camera_id) for c in cameras}
     typer.echo(
         f"{database}: {format_size(database.stat().st_size)}, {count_of(len(cameras), 'camera')}"
     )
@@ -45,12 +62,41 @@ def info(database: DatabaseArgument) -> None:
             f"{camera.lane_maps}",
         )
     console.print(table)
+    if series:
+        _show_traffic(series, vehicles)
+
+
+def _show_traffic(series: tuple[SeriesContent, ...], vehicles: dict[str, int]) -> None:
+    """A row for each camera, length of intervals, time zone and class scheme."""
+    from geoorbit_ros.cli.console import console, make_table
+    from geoorbit_ros.traffic.class_schemes import stored_scheme
+    from geoorbit_ros.traffic.interval_clock import IntervalClock
+
+    head = "camera|from|to|>interval\ns|classes|>intervals|>rows|>passages"
+    table = make_table("Traffic", head)
+    for found in series:
+        name = found.name
+        clock = IntervalClock(name.length_s, name.zone)
+        table.add_row(
+            name.camera_id,
+            clock.text(found.start_ns),
+            clock.text(found.end_ns),
+            f"{name.length_s}",
+            stored_scheme(name.scheme).name,
+            f"{found.intervals}",
+            f"{found.rows}",
+            f"{vehicles[name.camera_id]}",
+        )
+    console.print(table)
 
 
 @app.command("export")
 def export(
     database: DatabaseArgument,
     out: Annotated[Path, typer.Option(help="New file, in .csv or .parquet.")],
+    table: Annotated[
+        StoredTable, typer.Option(help="Tracks, or traffic that the node traffic has stored.")
+    ] = StoredTable.TRACKS,
     camera_id: Annotated[
         list[str] | None, typer.Option(help="Only this camera; may be given several times.")
     ] = None,
@@ -63,34 +109,54 @@ def export(
         typer.Option(metavar="ZONE", help="Of local_time, as Europe/Berlin; default: this one's."),
     ] = None,
 ) -> None:
-    """Write stored vehicle tracks to CSV or Parquet, also while the recorder goes on.
+    """Write stored vehicle tracks or traffic to CSV or Parquet, also while the recorder goes on.
 
-    One row per vehicle and frame: camera_id, stamp_ns, track_id, position and speed in the map
-    frame (x_m, y_m east and north of the datum), heading, size, score, error, local_time. Where a
-    lane map is stored, also latitude_deg, longitude_deg, lane_id, and lane_number, counted from the
-    outer edge of the road.
+    Of tracks, one row per vehicle and frame: camera_id, stamp_ns, track_id, position and speed in
+    the map frame (x_m, y_m east and north of the datum), heading, size, score, error, local_time.
+    Where a lane map is stored, also latitude_deg, longitude_deg, lane_id, and lane_number, counted
+    from the outer edge of the road. The tables intervals and vehicles have the columns of
+    [bold]geoorbit traffic[/bold] after camera_id, and intervals are in their own time zone.
 
     Example: [bold]geoorbit db export trajectories.db --out may.parquet --from 2026-05-01
     --to 2026-06-01[/bold]
     """
-    from geoorbit_ros.cli.console import format_size, make_progress, parse_time, say
+    from geoorbit_ros.cli.console import format_size, parse_time
     from geoorbit_ros.cli.inputs import time_zone
-    from geoorbit_ros.storage.database.export import export_tracks
-    from geoorbit_ros.storage.database.reader import TrajectoryReader
 
     start_ns = None if start is None else parse_time(start, "option --from")
     end_ns = None if end is None else parse_time(end, "option --to")
-    zone = time_zone(timezone)
+    if table is StoredTable.TRACKS:
+        zone = time_zone(timezone)
+        rows = _export_tracks(database, out, camera_id or [], start_ns, end_ns, zone)
+    else:
+        own = None if timezone is None else time_zone(timezone)
+        rows = _export_traffic(database, out, table, camera_id or [], start_ns, end_ns, own)
+    typer.echo(f"{out}: {rows} rows, {format_size(out.stat().st_size)}")
+
+
+def _export_tracks(
+    database: Path,
+    out: Path,
+    camera_ids: list[str],
+    start_ns: int | None,
+    end_ns: int | None,
+    zone: str,
+) -> int:
+    """Write tracks; how many rows."""
+    from geoorbit_ros.cli.console import make_progress, say
+    from geoorbit_ros.storage.database.export import export_tracks
+    from geoorbit_ros.storage.database.reader import TrajectoryReader
+
     with TrajectoryReader(database) as reader, make_progress() as progress:
         whole = start_ns is None and end_ns is None
-        wanted = [c for c in reader.cameras() if not camera_id or c.camera_id in camera_id]
+        wanted = [c for c in reader.cameras() if not camera_ids or c.camera_id in camera_ids]
         total = sum(c.rows for c in wanted) if whole else None  # unknown for a part of the time
         task = progress.add_task(f"writing {out.name}", total=total)
         maps = {camera.camera_id: _stored_maps(reader, camera.camera_id) for camera in wanted}
         rows = export_tracks(
             reader,
             out,
-            camera_id or (),
+            camera_ids,
             start_ns,
             end_ns,
             lambda done: progress.update(task, completed=done),
@@ -100,7 +166,78 @@ def export(
     without = [camera_id for camera_id, found in maps.items() if not found]
     if without:
         say(f"No lane map is stored of {', '.join(without)}: lane and position on Earth are empty.")
-    typer.echo(f"{out}: {rows} rows, {format_size(out.stat().st_size)}")
+    return rows
+
+
+def _export_traffic(
+    database: Path,
+    out: Path,
+    table: StoredTable,
+    camera_ids: list[str],
+    start_ns: int | None,
+    end_ns: int | None,
+    zone: str | None,
+) -> int:
+    """Write intervals or vehicles; how many rows.
+
+    Raises:
+        ParameterError: Nothing is stored, no such camera, or another suffix.
+    """
+    from geoorbit_ros.storage.atomic import atomic_output
+    from geoorbit_ros.storage.database.traffic import TrafficReader
+    from geoorbit_ros.traffic.tables import write_csv, write_parquet
+
+    write = {".csv": write_csv, ".parquet": write_parquet}.get(out.suffix.lower())
+    if write is None:
+        raise ParameterError("export file", f"'{out.name}'", "a name in .csv or .parquet")
+    with TrafficReader(database) as reader:
+        series = reader.traffic_series()
+        known = list(dict.fromkeys(found.name.camera_id for found in series))
+        for camera_id in camera_ids:
+            if camera_id not in known:
+                raise ParameterError("option --camera-id", f"'{camera_id}'", ", ".join(known))
+        if not series:
+            found = f"no traffic in {database}"
+            raise ParameterError("option --table", found, "one that the node traffic has written")
+        wanted = [s.name for s in series if not camera_ids or s.name.camera_id in camera_ids]
+        parts = [
+            _traffic_table(reader, table, name, (start_ns, end_ns), zone)
+            for k, name in enumerate(wanted)
+            if table is StoredTable.INTERVALS or name.camera_id != wanted[k - 1].camera_id or not k
+        ]
+    with atomic_output(out) as temporary:
+        write(temporary, parts)
+    return sum(part.num_rows for part in parts)
+
+
+def _traffic_table(
+    reader: TrafficReader,
+    table: StoredTable,
+    series: SeriesName,
+    between_ns: tuple[int | None, int | None],
+    zone: str | None,
+) -> pa.Table:
+    """Stored rows of a series, or the vehicles of its camera: as `geoorbit traffic` has them."""
+    import numpy as np
+    import pyarrow as pa
+
+    from geoorbit_ros.traffic.class_schemes import stored_scheme
+    from geoorbit_ros.traffic.interval_clock import IntervalClock
+    from geoorbit_ros.traffic.packed import unpack_measures, unpack_passages
+    from geoorbit_ros.traffic.tables import interval_table, vehicle_table
+
+    scheme = stored_scheme(series.scheme)
+    start_ns = -(2**62) if between_ns[0] is None else between_ns[0]
+    end_ns = 2**62 if between_ns[1] is None else between_ns[1]
+    if table is StoredTable.INTERVALS:
+        rows = unpack_measures(reader.traffic_rows(series, start_ns, end_ns))
+        clock = IntervalClock(series.length_s, zone or series.zone)
+        content = interval_table(rows, scheme, clock)
+    else:
+        vehicles = unpack_passages(reader.traffic_vehicles(series.camera_id, start_ns, end_ns))
+        content = vehicle_table(vehicles, scheme)
+    names = pa.array(np.full(content.num_rows, series.camera_id, dtype=object), pa.string())
+    return content.add_column(0, "camera_id", names)
 
 
 def _stored_maps(reader: TrajectoryReader, camera_id: str) -> LanesOverTime:

@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
+from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
@@ -28,7 +29,7 @@ MAX_CAMERAS = 1000
 
 CAMERA_NODES = (
     *("bag_player", "camera", "detector", "tracker"),
-    *("homography", "lane_geometry", "recorder", "meta_client", "overlay"),
+    *("homography", "lane_geometry", "recorder", "traffic", "meta_client", "overlay"),
 )
 """Nodes in a camera's namespace, in the order in which data goes through them."""
 NODES = (*CAMERA_NODES, "federated_server", "sumo_bridge", "carla_bridge")
@@ -102,6 +103,7 @@ class Camera(StrictModel):
             must be given, for a bag it is 1920 x 1080 unless given.
         datum: Origin of its map; default: the middle of its control points.
         position: Where it stands, for maps.
+        timezone: IANA name of the time zone on whose clock its traffic is counted.
         repeat: Whether a recording starts again at its end.
         enabled: Whether it is started.
         parameters: Values that go before the nodes' defaults.
@@ -116,6 +118,7 @@ class Camera(StrictModel):
     image_size: tuple[Pixels, Pixels] | None = None
     datum: Position | None = None
     position: Position | None = None
+    timezone: str = "UTC"
     repeat: bool = True
     enabled: bool = True
     parameters: Overrides = Field(default={})
@@ -144,6 +147,11 @@ class Camera(StrictModel):
         if self.kind == "bag" and self.model is not None:
             found = f"'{self.model}' beside recorded boxes"
             raise WrongValue(("model",), found, "no model, or a source with images")
+        try:
+            ZoneInfo(self.timezone)
+        except (ZoneInfoNotFoundError, ValueError, OSError):
+            wanted = "a name such as Europe/Berlin"
+            raise WrongValue(("timezone",), f"'{self.timezone}'", wanted) from None
         check_overrides(self.parameters, CAMERA_NODES, info.context)
         return self
 
@@ -248,6 +256,22 @@ class Recorder(StrictModel):
     folder: FilePath = Path("recordings")
 
 
+class Traffic(StrictModel):
+    """Vehicles per lane and interval of every camera, stored in its database if there is one.
+
+    Attributes:
+        parameters: Values that go before the defaults of the node `traffic`.
+    """
+
+    enabled: bool = True
+    parameters: dict[str, Value] = _parameters_of("traffic")
+
+    @model_validator(mode="after")
+    def _known(self, info: ValidationInfo) -> Traffic:
+        check_parameters(self.parameters, "traffic", report=info.context)
+        return self
+
+
 class Viewer(StrictModel):
     """A server for viewers that speak Foxglove's protocol."""
 
@@ -268,6 +292,7 @@ class Fleet(StrictModel):
         twin: None: no twin.
         carla: None: not in CARLA.
         recorder: None: nothing is recorded.
+        traffic: None: no vehicles are counted.
         viewer: None: started by hand with `geoorbit view`.
     """
 
@@ -279,6 +304,7 @@ class Fleet(StrictModel):
     twin: Twin | None = None
     carla: Carla | None = None
     recorder: Recorder | None = None
+    traffic: Traffic | None = None
     viewer: Viewer | None = None
 
     @model_validator(mode="after")
@@ -299,6 +325,7 @@ SERVICE_MODELS: dict[str, type[StrictModel]] = {
     "twin": Twin,
     "carla": Carla,
     "recorder": Recorder,
+    "traffic": Traffic,
     "viewer": Viewer,
 }
 """What cameras share, by the file's keys."""

@@ -191,6 +191,10 @@ def camera_nodes(
     if fleet.recorder and fleet.recorder.enabled:
         folder = output / fleet.recorder.folder
         wiring["recorder"] = {"database": str(folder / f"{camera.id}.db")}
+    if fleet.traffic and fleet.traffic.enabled:
+        points = ground["calibration_file"]
+        wiring["traffic"] = {"timezone": camera.timezone, "calibration_file": points}
+        wiring["traffic"] |= wiring.get("recorder", {}) | fleet.traffic.parameters
     state = output / "state" / camera.id
     wiring["lane_geometry"] = {"state_file": str(state / "lanes.npz")}
     if fleet.federated_server and fleet.federated_server.enabled:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -122,6 +123,29 @@ def _tls() -> ClassScheme:
 
 SCHEMES: Mapping[str, ClassScheme] = {s.name: s for s in (_coco(), _fhwa(), _tls())}
 """Schemes by name."""
+
+
+def scheme_text(scheme: ClassScheme) -> str:
+    """A scheme as it is stored beside what was counted with it; the same scheme, the same text."""
+    rules = [[r.category, list(r.class_ids), r.from_m, r.below_m] for r in scheme.rules]
+    heavy = [name for name in scheme.categories if name in scheme.heavy]
+    content = {"name": scheme.name, "categories": scheme.categories, "heavy": heavy}
+    return json.dumps(content | {"rules": rules})
+
+
+def stored_scheme(text: str) -> ClassScheme:
+    """The scheme of `scheme_text`.
+
+    Raises:
+        ParameterError: Another text.
+    """
+    try:
+        content = json.loads(text)
+        rules = tuple(ClassRule(c, tuple(ids), low, high) for c, ids, low, high in content["rules"])
+        names, heavy = tuple(content["categories"]), frozenset(content["heavy"])
+        return ClassScheme(content["name"], names, rules, heavy)
+    except (ValueError, KeyError, TypeError):
+        raise ParameterError("stored class scheme", f"'{text}'", "a scheme") from None
 
 
 class RuleEntry(BaseModel):

@@ -93,6 +93,11 @@ class TrafficCounter:
         """Vehicles that have gone since the last call."""
         return self._count(self._paths.take())
 
+    @property
+    def open_since_ns(self) -> int | None:
+        """When the first of the vehicles was first seen that may still be in view; None: none."""
+        return self._paths.open_since_ns
+
     def finish(self) -> Counted:
         """All vehicles that are left."""
         return self._count(self._paths.finish())

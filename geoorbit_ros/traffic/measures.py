@@ -28,6 +28,10 @@ FOLLOWING_S = 2.5
 COUNT_SIGMA = 0.01
 """1-sigma relative error of a count by vehicles that are missed or seen twice. Measured: mean
 absolute error of lanes' five-minute counts in the shipped scenes (docs/results.md)."""
+LONGEST_HEADWAY_S = 1800.0
+"""Vehicles farther apart have no headway. Chosen: with less than two vehicles an hour nothing is
+said about headways; that makes every interval depend on the half hour before it alone, so that a
+counter which was started again says the same."""
 LEAST_WATCHED = 0.02
 """Of an interval that was watched for a smaller share nothing is said but its count. Chosen: flows
 from a few seconds are those of single vehicles."""
@@ -271,11 +275,12 @@ class _Groups:
                 cell = np.ravel_multi_index((index.interval, row, slot), self.shape)
                 order = np.lexsort((value, cell))
                 cells, begin, count = np.unique(cell[order], return_index=True, return_counts=True)
-                at = begin + share * (count - 1)
-                low = np.floor(at).astype(np.int64)
-                high = np.minimum(low + 1, begin + count - 1)
+                rank = share * (count - 1)
+                low = np.floor(rank).astype(np.int64)
+                high = np.minimum(low + 1, count - 1)
                 ordered = value[order]
-                flat[cells] = ordered[low] + (at - low) * (ordered[high] - ordered[low])
+                below, above = ordered[begin + low], ordered[begin + high]
+                flat[cells] = below + (rank - low) * (above - below)
         return flat.reshape(self.shape)
 
     def headways(self, out: NDArray[np.void]) -> None:
@@ -298,17 +303,20 @@ class _Groups:
         spent, driven = np.zeros(self.shape), np.zeros(self.shape)
         duration = np.maximum((rows["last_ns"] - rows["first_ns"]) / NS, 1e-3)
         pace = (rows["last_arc_m"] - rows["first_arc_m"]) / duration
+        # A row per passage and interval; in each interval in the order of the passages, so that
+        # sums have the same bits however many intervals are measured at once.
         first = np.searchsorted(self.edges, rows["first_ns"], side="right") - 1
         last = np.searchsorted(self.edges, rows["last_ns"], side="right") - 1
-        for step in range(int((last - first).max(initial=-1)) + 1):
-            here = first + step <= last
-            begin = np.maximum(rows["first_ns"], self.edges[np.clip(first + step, 0, None)])
-            end_edge = self.edges[np.clip(first + step + 1, 0, len(self.edges) - 1)]
-            end = np.minimum(rows["last_ns"], end_edge)
-            time_s = np.where(here, np.maximum(end - begin, 0) / NS, 0.0)
-            index = self._index(np.where(here, begin, -1), rows["lane_id"], category)
-            spent += self.sums(index, time_s)
-            driven += self.sums(index, time_s * pace)
+        first, last = np.maximum(first, 0), np.minimum(last, len(self.edges) - 2)
+        times = np.maximum(last - first + 1, 0)
+        of = np.repeat(np.arange(len(rows)), times)
+        interval = first[of] + np.arange(len(of)) - np.repeat(np.cumsum(times) - times, times)
+        begin = np.maximum(rows["first_ns"][of], self.edges[interval])
+        end = np.minimum(rows["last_ns"][of], self.edges[interval + 1])
+        time_s = np.maximum(end - begin, 0) / NS
+        index = self._index(begin, rows["lane_id"][of], category[of])
+        spent += self.sums(index, time_s)
+        driven += self.sums(index, time_s * pace[of])
         length_km = self._length_m()[None, :, None] / 1000.0
         with np.errstate(divide="ignore", invalid="ignore"):
             out["density_veh_per_km"] = spent / length_km / self.watched_s[:, None, None]
@@ -352,17 +360,18 @@ def headways_s(crossings: NDArray[np.void], observed: ObservedTime) -> tuple[Arr
 
     The headway is from front to front, the gap from the leader's rear to the follower's front.
     Where no length is known, the middles of vehicles give the headway, and the gap is NaN. NaN for
-    the first vehicle, and where the camera didn't watch all the time between.
+    the first vehicle, after `LONGEST_HEADWAY_S`, and where the camera didn't watch all the time
+    between.
     """
     headway, gap = np.full(len(crossings), np.nan), np.full(len(crossings), np.nan)
     order = np.lexsort((crossings["stamp_ns"], crossings["lane_id"]))
     rows = crossings[order]
     speed = np.maximum(rows["speed_mps"], 0.1)
     half_s = np.nan_to_num(rows["length_m"]) / 2 / speed
-    front_s = (rows["stamp_ns"] - rows["stamp_ns"].min(initial=2**62)) / NS - half_s
-    same = rows["lane_id"][1:] == rows["lane_id"][:-1]
+    middle_s = np.diff(rows["stamp_ns"]) / NS
+    same = (rows["lane_id"][1:] == rows["lane_id"][:-1]) & (middle_s <= LONGEST_HEADWAY_S)
     same &= observed.watched(rows["stamp_ns"][:-1], rows["stamp_ns"][1:])
-    between = np.where(same, np.diff(front_s), np.nan)
+    between = np.where(same, middle_s - np.diff(half_s), np.nan)
     headway[order[1:]] = between
     gap[order[1:]] = between - rows["length_m"][:-1] / speed[:-1]
     return headway, gap

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import TableError
 from geoorbit_ros.core.tables import FLAG_GROUND_POINT, FLAG_PREDICTED, TRACK_DTYPE, Frames
-from geoorbit_ros.traffic.track_links import Fragment, Links
+from geoorbit_ros.traffic.track_links import Fragment, Links, cut_ns
 
 BIN_NS = 100_000_000
 """Of each track one row in every tenth of a second is kept. Chosen: a vehicle drives three metres
@@ -100,6 +100,11 @@ class PathCollector:
         """Stamps of the first and the newest frame; 0 before the first one."""
         return self._oldest_ns or 0, self._newest_ns or 0
 
+    @property
+    def open_since_ns(self) -> int | None:
+        """When the first of the vehicles was first seen that `take` left; None: it left none."""
+        return min((int(rows["stamp_ns"].min()) for rows in self._waiting), default=None)
+
     def take(self) -> Paths:
         """Paths of the vehicles that can't be seen any more at the newest frame."""
         return self._take(self._newest_ns)
@@ -120,8 +125,9 @@ class PathCollector:
         begin = np.flatnonzero(np.diff(track, prepend=-1))
         end = np.append(begin[1:], len(rows))
         fragments = [
-            Fragment(int(rows["track_id"][a]), rows[a:b])
+            fragment
             for a, b in zip(begin.tolist(), end.tolist(), strict=True)
+            for fragment in _fragments(rows[a:b])
         ]
         chains, open_fragments = self.links.join(fragments, now_ns)
         self._waiting = [fragment.rows for fragment in open_fragments]
@@ -155,6 +161,17 @@ def _track_numbers(rows: NDArray[np.void]) -> NDArray[np.int64]:
     begins = np.ones(len(rows), np.bool_)
     begins[1:] = (np.diff(rows["track_id"]) != 0) | (np.diff(rows["stamp_ns"]) > SPLIT_NS)
     return np.cumsum(begins) - 1
+
+
+def _fragments(rows: NDArray[np.void]) -> list[Fragment]:
+    """A track, in parts where it is very long (`track_links.LONGEST_NS`)."""
+    stamps, track_id = rows["stamp_ns"], int(rows["track_id"][0])
+    parts, begin = list[Fragment](), 0
+    while (at_ns := cut_ns(int(stamps[begin]))) <= stamps[-1]:
+        end = int(np.searchsorted(stamps, at_ns))
+        parts.append(Fragment(track_id, rows[begin:end], int(stamps[end])))
+        begin = end
+    return [*parts, Fragment(track_id, rows[begin:])]
 
 
 def _no_paths() -> Paths:

@@ -21,6 +21,7 @@ from geoorbit_ros.nodes.lane_geometry import LaneGeometryNode
 from geoorbit_ros.nodes.overlay import OverlayNode
 from geoorbit_ros.nodes.recorder import RecorderNode
 from geoorbit_ros.nodes.tracker import TrackerNode
+from geoorbit_ros.nodes.traffic import TrafficNode
 from geoorbit_ros.parameters import load_schema
 
 ROOT = Path(__file__).parents[2]
@@ -35,6 +36,7 @@ NODES = {
         OverlayNode,
         RecorderNode,
         TrackerNode,
+        TrafficNode,
     )
 }
 

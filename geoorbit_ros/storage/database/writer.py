@@ -26,7 +26,7 @@ _SPAN_NS = int(COMMIT_PERIOD_S * 1e9)
 """Longest batch, below `MAX_BATCH_SPAN_NS` of the schema."""
 _MIN_NS = -(2**62)
 """Earlier than any stamp."""
-_PRUNE_STEP = 64
+PRUNE_STEP = 64
 """Batches deleted in one call of `prune`. Chosen: takes milliseconds; more hold up the frames."""
 
 
@@ -139,7 +139,7 @@ class TrajectoryDatabase(TrajectoryReader):
             finally:
                 super().close()
 
-    def prune(self, older_than_ns: int, limit: int = _PRUNE_STEP) -> int:
+    def prune(self, older_than_ns: int, limit: int = PRUNE_STEP) -> int:
         """Delete data that ended before `older_than_ns`, the oldest first.
 
         At most `limit` batches and as many lane maps go per call, so that one call takes

@@ -7,12 +7,19 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from made_traffic_days import CLOCK, LANES, SCHEME, SUMMER_ENDS_NS, day
 
+from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.cli.console import format_size, format_time, parse_time
 from geoorbit_ros.cli.main import main
 from geoorbit_ros.core.errors import ParameterError
+from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.core.tables import TRACK_DTYPE
+from geoorbit_ros.lanes.geojson import dumps_lanes, parse_lane_file
+from geoorbit_ros.storage.database.traffic import TrafficDatabase
 from geoorbit_ros.storage.database.writer import TrajectoryDatabase
+from geoorbit_ros.traffic.follower import TrafficFollower
+from geoorbit_ros.traffic.live import StampedLanes
 
 NOON_NS = 1_777_636_800 * 10**9  # 2026-05-01 12:00 UTC
 
@@ -97,3 +104,40 @@ def test_times_and_sizes() -> None:
         "1.6 MB",
         "2.0 GB",
     ]
+
+
+def test_traffic_beside_the_tracks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What is exported is what the offline command computes from the same tracks and lanes."""
+    path, frames = tmp_path / "t.db", day(SUMMER_ENDS_NS, 6, vehicles=3)
+    text = dumps_lanes(LaneMap(SUMMER_ENDS_NS, tuple(LANES)), Datum(50.0, 8.0), camera_id="north")
+    with TrafficDatabase(path) as database:
+        database.append_lanes("north", SUMMER_ENDS_NS, text)
+        for k, stamp_ns in enumerate(frames.stamp_ns.tolist()):
+            database.append("north", stamp_ns, frames.frame(k))
+        database.flush()
+        lanes = StampedLanes(0, parse_lane_file(text, "text").lane_map.lanes)
+        follower = TrafficFollower(database, "north", SCHEME, CLOCK, lambda _: lanes)
+        while follower.step().batches:
+            pass
+    options = ["--interval", "60s", "--timezone", CLOCK.zone, "--out", str(tmp_path / "offline")]
+    assert main(["traffic", "--database", str(path), *options]) == 0
+    capsys.readouterr()
+    for name in ("intervals", "vehicles"):
+        out = tmp_path / f"{name}.csv"
+        assert main(["db", "export", str(path), "--table", name, "--out", str(out)]) == 0
+        lines = [line.removeprefix('"north",') for line in out.read_text().splitlines()[1:]]
+        expected = (tmp_path / "offline" / f"{name}.csv").read_text().splitlines()[1:]
+        assert len(lines) >= 30
+        assert lines == expected[: len(lines)]
+        assert len(expected) - len(lines) <= 12  # those of the last interval, which is not finished
+    capsys.readouterr()
+    assert main(["db", "info", str(path)]) == 0
+    shown = capsys.readouterr().out
+    assert "Traffic" in shown
+    assert "coco" in shown
+    few = ["db", "export", str(path), "--table", "intervals", "--out", str(tmp_path / "a.parquet")]
+    assert main([*few, "--from", f"{SUMMER_ENDS_NS / 1e9 + 60}", "--to", "1792890120"]) == 0
+    table = pq.read_table(tmp_path / "a.parquet")
+    assert set(table["interval_start"].to_pylist()) == {"2026-10-25T02:01:00+01:00"}
+    assert main([*few, "--camera-id", "south"]) == 2
+    assert "'south'" in capsys.readouterr().err

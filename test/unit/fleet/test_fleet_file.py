@@ -9,6 +9,7 @@ import pytest
 import yaml
 
 from geoorbit_ros.core.errors import InputFileError
+from geoorbit_ros.core.input_report import InputReport
 from geoorbit_ros.core.resources import share_path, shipped_names
 from geoorbit_ros.fleet.fleet_file import CAMERA_NODES, Fleet
 from geoorbit_ros.fleet.fleet_io import FOLDER, load_fleet
@@ -318,3 +319,30 @@ def test_an_unknown_parameter_gets_the_nearest_name_and_no_old_one(
         load_fleet(file)
     assert said in str(error.value)
     assert "judge_every" not in str(error.value)
+
+
+def test_traffic_is_counted_on_the_cameras_clock_into_its_database(tmp_path: Path) -> None:
+    text = GOOD.replace("viewer: {port: 8765}", "traffic: {parameters: {interval_s: 300}}")
+    text = text.replace(
+        "calibration: south.csv", "calibration: south.csv\n    timezone: Asia/Tokyo"
+    )
+    fleet, _ = load_fleet(write(tmp_path, text))
+    nodes = {
+        (node.namespace, node.executable): node.parameters
+        for plan in plan_nodes(fleet, tmp_path, tmp_path / "out")
+        for node in plan.nodes
+    }
+    for camera, zone in (("north", "UTC"), ("south", "Asia/Tokyo")):
+        given = nodes[camera, "traffic"]
+        assert given["database"] == nodes[camera, "recorder"]["database"]
+        assert (given["timezone"], given["interval_s"]) == (zone, 300)
+    fleet, _ = load_fleet(write(tmp_path, GOOD))
+    plans = plan_nodes(fleet, tmp_path, tmp_path / "out")
+    assert not any(node.executable == "traffic" for plan in plans for node in plan.nodes)
+
+
+def test_a_time_zone_that_there_is_not_is_one_sentence(tmp_path: Path) -> None:
+    text = GOOD.replace("calibration: south.csv", "calibration: south.csv\n    timezone: Mars/Base")
+    report = InputReport("fleet", "cameras")
+    load_fleet(write(tmp_path, text), report)
+    assert any("Mars/Base" in sentence for sentence in report.sentences())

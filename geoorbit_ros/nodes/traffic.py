@@ -1,0 +1,228 @@
+"""Node `traffic`: vehicles per lane and interval, from the tracks of a camera."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
+
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.clock import Clock, ClockType
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import String
+
+from geoorbit_ros.conversions import decode_string, encode_string, encode_table
+from geoorbit_ros.core.errors import GeoOrbitError, ParameterError
+from geoorbit_ros.core.tables import TRACK_DTYPE, one_frame
+from geoorbit_ros.nodes.support.base import GeoOrbitNode
+from geoorbit_ros.nodes.support.lane_reader import LaneReader
+from geoorbit_ros.nodes.support.process import run_node
+from geoorbit_ros.nodes.support.qos import LATCHED, LATCHED_ALL
+from geoorbit_ros.nodes.support.table_stream import TableStream
+from geoorbit_ros.storage.database.traffic import TrafficDatabase
+from geoorbit_ros.storage.ownership import Ownership
+from geoorbit_ros.storage.yaml_file import read_yaml
+from geoorbit_ros.traffic.class_schemes import SCHEMES, ClassScheme, SchemeFile, scheme_of
+from geoorbit_ros.traffic.counter import Counted
+from geoorbit_ros.traffic.follower import STEP_BATCHES, TrafficFollower
+from geoorbit_ros.traffic.interval_clock import NS, IntervalClock
+from geoorbit_ros.traffic.live import Finished, LiveTraffic, MapShelf
+from geoorbit_ros.traffic.messages import intervals_json, point_table
+
+STEP_PERIOD_S = 0.5
+"""Between two looks into the database, in wall time, which changes no result. Chosen: as often as
+the recorder commits."""
+DAY_NS = 86_400 * NS
+"""Nanoseconds of a day."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrafficParameters:
+    """See params/traffic.yaml."""
+
+    database: str
+    camera_id: str
+    interval_s: int
+    timezone: str
+    class_scheme: str
+    calibration_file: str
+    retention_days: float
+    frame_id: str
+    reliability: str
+    queue_depth: int
+    restart_jump_s: float
+
+
+class TrafficNode(GeoOrbitNode[TrafficParameters]):
+    """Publishes `traffic/{intervals,vehicles,crossings}` and `traffic/intervals_json`.
+
+    With a database it counts the tracks that the recorder stores there, and stores intervals and
+    vehicles beside them: after a restart it goes on with the first interval that is not stored.
+    Without one it counts the topics `tracks` and `lanes/geojson`.
+    """
+
+    name = "traffic"
+    struct = TrafficParameters
+
+    def setup(self) -> None:
+        """Find the place to go on, or subscribe."""
+        p = self.p
+        place = f"node '{self.get_fully_qualified_name()}', parameter"
+        self._camera = p.camera_id or self.camera_id
+        self._interval_clock = IntervalClock(
+            p.interval_s, time_zone(p.timezone, f"{place} 'timezone'")
+        )
+        self._scheme = class_scheme(p.class_scheme, f"{place} 'class_scheme'")
+        self.intervals = self.vehicles = 0
+        self._follower: TrafficFollower | None = None
+        self._tables = {
+            topic: self.create_publisher(PointCloud2, f"traffic/{topic}", LATCHED_ALL)
+            for topic in ("intervals", "vehicles", "crossings")
+        }
+        self._json: Publisher = self.create_publisher(String, "traffic/intervals_json", LATCHED)
+        if p.database:
+            if not self._camera:
+                found = "nothing, in the root namespace"
+                raise ParameterError(f"{place} 'camera_id'", found, "the camera's name")
+            self._follow(Path(p.database))
+        else:
+            self._subscribe()
+
+    def close(self) -> None:
+        """Give the database up; intervals that are not finished are counted again later."""
+        if self._follower is not None:
+            self._owner.close()
+            self._database.close()
+
+    def diagnostic_values(self) -> Mapping[str, object]:
+        """How far it is."""
+        live = self._live if self._follower is None else self._follower.live
+        used = live.map_in_use if live else None
+        return {
+            "intervals": self.intervals,
+            "vehicles": self.vehicles,
+            "lanes": len(used.lanes) if used else "not received yet",
+            "map_stamp_s": used.map_ns / NS if used else "",
+            "newest_s": live.newest_ns / NS if live and live.newest_ns else "",
+            "unfinished_since_s": live.waits_since_ns / NS if used and live else "",
+        }
+
+    def _subscribe(self) -> None:
+        self._shelf = MapShelf()
+        self._restart()
+        self._geojson_topic = self.resolve_topic_name("lanes/geojson")
+        self._reader = LaneReader(self.p.calibration_file, self._geojson_topic)
+        TableStream(self, "tracks", TRACK_DTYPE, self.p, self._on_frame, self._restart)
+        self.create_subscription(String, "lanes/geojson", self._on_lanes, LATCHED_ALL, raw=True)
+
+    def _follow(self, path: Path) -> None:
+        reader = LaneReader(self.p.calibration_file, f"{path}, lane map of {self._camera}")
+        self._database = TrafficDatabase(path)
+        lock = path.with_name(f".{path.name}.{self._camera.replace('/', '.')}.traffic.lock")
+        try:
+            self._owner = Ownership(lock, f"traffic in {path}, camera {self._camera}")
+        except GeoOrbitError:
+            self._database.close()
+            raise
+        self._follower = TrafficFollower(
+            self._database,
+            self._camera,
+            self._scheme,
+            self._interval_clock,
+            reader.read,
+        )
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(STEP_PERIOD_S, self._step, clock=steady)
+
+    def _restart(self) -> None:
+        self._live = LiveTraffic(self._scheme, self._interval_clock, self._shelf.lanes_at)
+
+    def _on_frame(self, stamp_ns: int, rows: NDArray[np.void]) -> None:
+        self._live.add(one_frame(stamp_ns, rows))
+        self._publish_new()
+
+    def _on_lanes(self, cdr: bytes) -> None:
+        try:
+            text = decode_string(cdr, self._geojson_topic)
+            self._shelf.put(self._reader.read(text))
+            self._live.start()
+            self._publish_new()
+        except GeoOrbitError as error:
+            self.diagnostics.refuse(error)
+
+    def _publish_new(self) -> None:
+        finished = self._live.finished()
+        self._publish(self._live.gone(), finished)
+
+    def _step(self) -> None:
+        """Count what is stored; while more may wait, at every turn of the executor."""
+        assert self._follower is not None
+        try:
+            told = self._follower.step(STEP_BATCHES)
+            self._publish(told.counted, told.finished)
+            self.diagnostics.received += told.batches
+            live = self._follower.live
+            if self.p.retention_days > 0.0 and live is not None and live.newest_ns:
+                before_ns = live.newest_ns - round(self.p.retention_days * DAY_NS)
+                self._database.prune_traffic(before_ns)
+        except GeoOrbitError as error:  # a full disk may have room again later
+            self.diagnostics.refuse(error)
+
+    def _publish(self, counted: Counted, finished: Sequence[Finished]) -> None:
+        frame_id = self.p.frame_id
+        self.vehicles += counted.vehicles
+        for topic, rows, stamp in (
+            ("vehicles", counted.passages, "last_ns"),
+            ("crossings", counted.crossings, "stamp_ns"),
+        ):
+            if len(rows):
+                message = encode_table(int(rows[stamp].max()), frame_id, point_table(rows))
+                self._tables[topic].publish(message)
+        for part in finished:
+            stamp_ns = int(part.edges_ns[-1])
+            table = encode_table(stamp_ns, frame_id, point_table(part.measures))
+            self._tables["intervals"].publish(table)
+            self.intervals += len(part.edges_ns) - 1
+            self.diagnostics.published += 1
+        if finished:
+            text = intervals_json(finished[-1], self._scheme, self._interval_clock, self._camera)
+            self._json.publish(encode_string(text))
+
+
+def time_zone(name: str, place: str) -> str:
+    """The name, if there is such a time zone.
+
+    Raises:
+        ParameterError: There is none.
+    """
+    try:
+        ZoneInfo(name)
+    except (ZoneInfoNotFoundError, ValueError, OSError):
+        raise ParameterError(place, f"'{name}'", "a name such as Europe/Berlin") from None
+    return name
+
+
+def class_scheme(given: str, place: str) -> ClassScheme:
+    """A scheme by its name, or from a YAML file.
+
+    Raises:
+        GeoOrbitError: Neither.
+    """
+    if given in SCHEMES:
+        return SCHEMES[given]
+    if not Path(given).is_file():
+        raise ParameterError(place, f"'{given}'", f"{', '.join(SCHEMES)}, or a YAML file")
+    return scheme_of(read_yaml(Path(given), SchemeFile, "class scheme"), given)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node in this process."""
+    return run_node(TrafficNode, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

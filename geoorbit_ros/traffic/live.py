@@ -1,0 +1,399 @@
+"""Traffic as it comes: frames and lane maps go in, intervals come out once nothing can change them.
+
+Every number depends on stamps alone, never on a clock or on how frames are handed over: the rows of
+an interval are, bit for bit, those that `count.record` gives on the same lanes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.calibration.plane import RoadPlane
+from geoorbit_ros.core.lanes import Lane
+from geoorbit_ros.core.polylines import project
+from geoorbit_ros.core.tables import Frames
+from geoorbit_ros.traffic.class_schemes import ClassScheme
+from geoorbit_ros.traffic.count import AT_ONCE
+from geoorbit_ros.traffic.counter import Counted, TrafficCounter
+from geoorbit_ros.traffic.interval_clock import GAP_S, NS, IntervalClock, ObservedTime
+from geoorbit_ros.traffic.measures import (
+    LONGEST_HEADWAY_S,
+    MeasuredLanes,
+    Traffic,
+    measure,
+    measured_lanes,
+)
+from geoorbit_ros.traffic.records import CROSSING_DTYPE, PASSAGE_DTYPE
+from geoorbit_ros.traffic.stations import REACH_S
+
+MAP_DELAY_NS = 10_000_000_000
+"""How much later than an interval's beginning its lane map is chosen. Chosen: vehicles that were
+last seen before that moment are then gone (`track_links.ENDED_NS`), and maps have arrived."""
+LOOK_NS = 5_000_000_000
+"""Vehicles that are gone are looked for this often. Chosen: it takes milliseconds and changes no
+result; longer tells vehicles later."""
+HOLD_NS = 600_000_000_000
+"""Frames of this long wait for the first lane map. Chosen: lanes are found within minutes; longer
+takes memory."""
+KEPT_MAPS = 100
+"""Maps of a topic that are kept. Chosen: eight minutes of updates every five seconds; the one that
+is chosen is at most seconds old."""
+SAME_M = 0.3
+"""Lanes that moved less are the same. Chosen: a tenth of a lane; less changes the map in use with
+every update, more leaves vehicles beside a lane that was found better."""
+SAME_END_M = 5.0
+"""Lanes whose ends moved less are the same. Chosen: a car's length."""
+LEAD_NS = 3_600_000_000_000
+"""A counter that is started again reads this much before the interval that it goes on with: half an
+hour for headways (`LONGEST_HEADWAY_S`), and half an hour in which a path ends that began before
+(`track_links.LONGEST_NS`)."""
+
+
+@dataclass(frozen=True, slots=True)
+class StampedLanes:
+    """The lanes of a map.
+
+    Attributes:
+        stamp_ns: When the map was made, on the clock of the tracks.
+        lanes: At least one, in the tracks' frame.
+        plane: The calibration in that frame, see `TrafficCounter`.
+    """
+
+    stamp_ns: int
+    lanes: Sequence[Lane]
+    plane: RoadPlane | None = None
+
+    @property
+    def counts(self) -> bool:
+        """Whether a lane is confirmed: before, nothing is counted."""
+        return any(lane.status == "confirmed" for lane in self.lanes)
+
+
+@dataclass(frozen=True, slots=True)
+class Resume:
+    """Where a counter was stopped.
+
+    Attributes:
+        from_ns: End of the last interval that it finished. Intervals and vehicles before it are not
+            told again; give frames from `LEAD_NS` before it on.
+        vehicles: Number of its last vehicle.
+        passages: `records.PASSAGE_DTYPE` of its last vehicles, times exact to milliseconds.
+    """
+
+    from_ns: int
+    vehicles: int = 0
+    passages: NDArray[np.void] = field(default_factory=lambda: np.empty(0, PASSAGE_DTYPE))
+
+
+LanesAt = Callable[[int], StampedLanes | None]
+"""The newest lanes that are not later than a stamp, or the first ones; None: there are none yet."""
+
+
+class MapShelf:
+    """Lane maps as they come on a topic; those with a confirmed lane count."""
+
+    def __init__(self) -> None:
+        self._maps = list[StampedLanes]()
+
+    def put(self, found: StampedLanes) -> None:
+        """Take a map; those that are later are of a source that has started again since."""
+        if found.counts:
+            earlier = [other for other in self._maps if other.stamp_ns < found.stamp_ns]
+            self._maps = [*earlier[-KEPT_MAPS:], found]
+
+    def lanes_at(self, stamp_ns: int) -> StampedLanes | None:
+        """See `LanesAt`."""
+        earlier = [found for found in self._maps if found.stamp_ns <= stamp_ns]
+        return earlier[-1] if earlier else self._maps[0] if self._maps else None
+
+
+@dataclass(frozen=True, slots=True)
+class MapInUse:
+    """Which lane map counts from an interval on.
+
+    Attributes:
+        from_ns: Begin of the first interval; the first map counts for all earlier ones, too.
+        map_ns: The map's stamp.
+        lanes: Its lanes.
+        order: The same in the order of tables.
+    """
+
+    from_ns: int
+    map_ns: int
+    lanes: tuple[Lane, ...]
+    order: MeasuredLanes
+
+
+@dataclass(frozen=True, slots=True)
+class Finished:
+    """Intervals that nothing can change any more, one after the other, on one lane map.
+
+    Attributes:
+        edges_ns: (K + 1,) stamps between which they lie.
+        measures: (M,) `measures.MEASURE_DTYPE`.
+        passages: (P,) `records.PASSAGE_DTYPE` of the vehicles that were last seen in them.
+        lanes: The map that they were counted on.
+    """
+
+    edges_ns: NDArray[np.int64]
+    measures: NDArray[np.void]
+    passages: NDArray[np.void]
+    lanes: MapInUse
+
+
+class LiveTraffic:
+    """Counts frames as they come and finishes intervals.
+
+    An interval is finished once all vehicles are gone that were in view in it. Paths are cut after
+    a quarter of an hour at the latest and have ended half an hour after they began
+    (`track_links.LONGEST_NS`), so this is seconds after its end on a flowing road, and at most half
+    an hour after it beside a parked vehicle.
+
+    The lane map of an interval is the newest one made before it began, where that differs from the
+    one in use (`SAME_M`). A vehicle is counted once, on the map of when it was last seen.
+
+    Args:
+        scheme: Classes.
+        clock: Intervals.
+        lanes_at: Gives lane maps.
+        resume: Where a counter that was stopped goes on.
+        max_gap_s: See `ObservedTime`.
+
+    Attributes:
+        newest_ns: Stamp of the newest frame; None before the first.
+        vehicles: How many were counted.
+    """
+
+    def __init__(
+        self,
+        scheme: ClassScheme,
+        clock: IntervalClock,
+        lanes_at: LanesAt,
+        resume: Resume | None = None,
+        max_gap_s: float = GAP_S,
+    ) -> None:
+        self.scheme, self.clock = scheme, clock
+        self._lanes_at, self._resume = lanes_at, resume
+        self._observed = ObservedTime(max_gap_s)
+        self._counter: TrafficCounter | None = None
+        self._maps: list[MapInUse] = []
+        self._passages = np.empty(0, PASSAGE_DTYPE)
+        self._crossings = np.empty(0, CROSSING_DTYPE)
+        self._gone, self._held = list[Counted](), list[Frames]()
+        self._begin_ns = self._switch_ns = self._looked_ns = 0
+        self.newest_ns: int | None = None
+        self.vehicles = 0
+
+    @property
+    def map_in_use(self) -> MapInUse | None:
+        """The newest one."""
+        return self._maps[-1] if self._maps else None
+
+    @property
+    def waits_since_ns(self) -> int:
+        """Begin of the first interval that is not finished."""
+        return self._begin_ns
+
+    def add(self, frames: Frames) -> None:
+        """Take frames of `TRACK_DTYPE`, later than those before; they wait for the first map."""
+        if not len(frames):
+            return
+        if self._counter is None:
+            self._held.append(frames)
+            held_ns = int(frames.stamp_ns[-1]) - HOLD_NS
+            self._held = [part for part in self._held if part.stamp_ns[-1] >= held_ns]
+            self.start()
+            return
+        while True:
+            # What is before the moment of choice is counted on the map in use.
+            k = int(np.searchsorted(frames.stamp_ns, self._switch_ns, side="right"))
+            if k:
+                self._feed(frames.part(0, k))
+            if k == len(frames):
+                break
+            self._choose_map(int(frames.stamp_ns[k]))
+            frames = frames.part(k, len(frames))
+
+    def start(self) -> None:
+        """Count the frames that wait, if there is a map by now."""
+        if self._held and self._start(int(self._held[0].stamp_ns[0])):
+            held, self._held = self._held, []
+            for part in held:
+                self.add(part)
+
+    def gone(self) -> Counted:
+        """Passages and crossings of vehicles that were counted since the last call."""
+        parts, self._gone = self._gone, []
+        return Counted(
+            np.concatenate([np.empty(0, PASSAGE_DTYPE), *(part.passages for part in parts)]),
+            np.concatenate([np.empty(0, CROSSING_DTYPE), *(part.crossings for part in parts)]),
+            sum(part.vehicles for part in parts),
+            sum(part.in_no_lane for part in parts),
+        )
+
+    def finished(self) -> list[Finished]:
+        """Intervals that were finished since the last call."""
+        if self._counter is None or self.newest_ns is None:
+            return []
+        if self.newest_ns - self._looked_ns < LOOK_NS:
+            return []
+        self._look()
+        open_ns = self._counter.open_since_ns
+        until_ns = self.newest_ns if open_ns is None else min(self.newest_ns, open_ns)
+        until_ns -= round(REACH_S * NS)  # vehicles cross a line up to so long before they are seen
+        edges, chosen_ns = [self._begin_ns], self.newest_ns - MAP_DELAY_NS
+        while edges[-1] < chosen_ns and (end_ns := self.clock.end_of(edges[-1])) <= until_ns:
+            edges.append(end_ns)
+        found = self._measured(np.array(edges, np.int64))
+        self._begin_ns = edges[-1]
+        self._forget()
+        return found
+
+    def _start(self, first_ns: int) -> bool:
+        begin_ns = self.clock.start_of(first_ns)
+        if self._resume is not None:
+            begin_ns = min(begin_ns, self._resume.from_ns)
+        found = self._lanes_at(begin_ns)
+        if found is None:
+            return False
+        self._counter = TrafficCounter(found.lanes, found.plane)
+        if self._resume is not None:
+            self._counter.vehicles = self._resume.vehicles
+        self._use(found, begin_ns)
+        self._begin_ns, self._looked_ns = begin_ns, first_ns
+        self._switch_ns = self.clock.end_of(begin_ns) + MAP_DELAY_NS
+        return True
+
+    def _use(self, found: StampedLanes, from_ns: int) -> None:
+        assert self._counter is not None
+        order = measured_lanes(self._counter.lanes, self._counter.stations)
+        self._maps.append(MapInUse(from_ns, found.stamp_ns, tuple(found.lanes), order))
+
+    def _feed(self, frames: Frames) -> None:
+        assert self._counter is not None
+        self.newest_ns = int(frames.stamp_ns[-1])
+        self._observed.add(frames.stamp_ns)
+        self._counter.add(frames)
+
+    def _choose_map(self, next_ns: int) -> None:
+        """Choose the map of the interval that began `MAP_DELAY_NS` before the next frame."""
+        assert self._counter is not None
+        self._look()
+        begin_ns = self.clock.start_of(next_ns - MAP_DELAY_NS - 1)
+        self._switch_ns = self.clock.end_of(begin_ns) + MAP_DELAY_NS
+        found, used = self._lanes_at(begin_ns), self._maps[-1]
+        if found is None or found.stamp_ns > begin_ns or found.stamp_ns == used.map_ns:
+            return
+        if same_lanes(found.lanes, used.lanes):
+            return
+        self._counter.use_lanes(found.lanes)
+        self._use(found, begin_ns)
+
+    def _look(self) -> None:
+        """Take vehicles that are gone."""
+        assert self._counter is not None
+        self._looked_ns = self.newest_ns or 0
+        counted = self._counter.take()
+        if counted.vehicles:
+            self._passages = np.concatenate((self._passages, counted.passages))
+            self._crossings = np.concatenate((self._crossings, counted.crossings))
+            if self._resume is not None:
+                self._number_as(self._resume.passages, counted.passages)
+                counted = _since(counted, self._resume.from_ns)
+            self._gone.append(counted)
+        self.vehicles = self._counter.vehicles
+
+    def _number_as(self, stored: NDArray[np.void], passages: NDArray[np.void]) -> None:
+        """Give vehicles the numbers that they had before the counter was stopped."""
+        assert self._counter is not None
+        number = {_name(row): int(row["vehicle_id"]) for row in stored}
+        found = [
+            number[_name(row)] - int(row["vehicle_id"]) for row in passages if _name(row) in number
+        ]
+        if found and found[-1]:
+            self._counter.vehicles += found[-1]
+            for table in (self._passages, self._crossings):
+                table["vehicle_id"] += found[-1]
+
+    def _measured(self, edges: NDArray[np.int64]) -> list[Finished]:
+        """The intervals between edges, those of one map together."""
+        if self._resume is not None:
+            edges = edges[max(int(np.searchsorted(edges, self._resume.from_ns)), 0) :]
+        if len(edges) < 2:
+            return []
+        starts = np.array([used.from_ns for used in self._maps[1:]], np.int64)
+        of_map = np.searchsorted(starts, edges[:-1], side="right")
+        cuts = [0, *(np.flatnonzero(np.diff(of_map)) + 1).tolist(), len(edges) - 1]
+        pieces = [
+            (a, min(a + AT_ONCE, end))
+            for begin, end in pairwise(cuts)
+            for a in range(begin, end, AT_ONCE)
+        ]
+        last_ns = last_seen(self._passages)
+        found = list[Finished]()
+        for a, b in pieces:
+            used, part = self._maps[int(of_map[a])], edges[a : b + 1]
+            traffic = Traffic(
+                self._passages, self._crossings, self._observed, used.order, self.scheme
+            )
+            here = (last_ns >= part[0]) & (last_ns < part[-1])
+            found.append(Finished(part, measure(traffic, part), self._passages[here], used))
+        return found
+
+    def _forget(self) -> None:
+        """Forget what no later interval needs."""
+        begin_ns = self._begin_ns
+        self._passages = self._passages[last_seen(self._passages) >= begin_ns]
+        crossings = self._crossings
+        kept = crossings["stamp_ns"] >= begin_ns - round(LONGEST_HEADWAY_S * NS)
+        kept |= np.isin(crossings["vehicle_id"], self._passages["vehicle_id"])
+        self._crossings = crossings[kept]
+        needed_ns = min(begin_ns, int(self._crossings["stamp_ns"].min(initial=begin_ns)))
+        spans = self._observed.spans_ns
+        self._observed.spans_ns = [span for span in spans if span[1] >= needed_ns] or spans[-1:]
+        while len(self._maps) > 1 and self._maps[1].from_ns <= begin_ns:
+            del self._maps[0]
+
+
+def last_seen(passages: NDArray[np.void]) -> NDArray[np.int64]:
+    """(P,) when the vehicle of each passage was last seen in a lane."""
+    _, vehicle = np.unique(passages["vehicle_id"], return_inverse=True)
+    last = np.full(int(vehicle.max(initial=-1)) + 1, np.iinfo(np.int64).min)
+    np.maximum.at(last, vehicle, passages["last_ns"])
+    return np.asarray(last[vehicle])
+
+
+def _name(passage: np.void) -> tuple[int, int, int]:
+    """Track, lane and millisecond: no other passage has them."""
+    return int(passage["track_id"]), int(passage["lane_id"]), round(int(passage["first_ns"]) / 1e6)
+
+
+def _since(counted: Counted, resume_ns: int) -> Counted:
+    """The vehicles that were last seen at `resume_ns` or later."""
+    kept = last_seen(counted.passages) >= resume_ns
+    passages = counted.passages[kept]
+    gone = np.unique(counted.passages["vehicle_id"][~kept])
+    crossings = counted.crossings[~np.isin(counted.crossings["vehicle_id"], gone)]
+    return Counted(passages, crossings, counted.vehicles - len(gone), counted.in_no_lane)
+
+
+def same_lanes(lanes: Sequence[Lane], others: Sequence[Lane]) -> bool:
+    """Whether two maps have the same lanes: the same ids, nowhere moved by `SAME_M` or more."""
+    by_id = {lane.lane_id: lane for lane in others}
+    if len(lanes) != len(by_id) or any(lane.lane_id not in by_id for lane in lanes):
+        return False
+    return all(_same_lane(lane, by_id[lane.lane_id]) for lane in lanes)
+
+
+def _same_lane(lane: Lane, other: Lane) -> bool:
+    line, old = lane.centerline_m, other.centerline_m
+    ends = np.hypot(*(line[[0, -1]] - old[[0, -1]]).T)
+    if (ends >= SAME_END_M).any():
+        return False
+    at = project(line, old)
+    return bool((np.abs(at.offset_m[at.inside]) < SAME_M).all() and at.inside.any())
