@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field, StrictInt
 
 from geoorbit_ros.core.class_names import COCO_NAMES, class_text
 from geoorbit_ros.core.errors import ParameterError
@@ -153,10 +153,10 @@ class RuleEntry(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    category: str
-    classes: list[str | int]
-    from_m: float = 0.0
-    below_m: float = float("inf")
+    category: str = Field(min_length=1)
+    classes: list[str | StrictInt] = Field(min_length=1)
+    from_m: float = Field(0.0, ge=0.0, allow_inf_nan=False)
+    below_m: float = Field(float("inf"), gt=0.0)
 
 
 class SchemeFile(BaseModel):
@@ -173,7 +173,7 @@ class SchemeFile(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    rules: list[RuleEntry]
+    rules: list[RuleEntry] = Field(min_length=1)
     heavy: list[str] = []
 
 
@@ -196,6 +196,13 @@ def scheme_of(content: SchemeFile, place: str) -> ClassScheme:
         )
         for k, entry in enumerate(content.rules)
     )
+    for k, rule in enumerate(rules):
+        where = f"{place}, rule {k + 1}"
+        if rule.category == "all":
+            raise ParameterError(where, "category 'all'", "another name: 'all' is all of them")
+        if not rule.from_m < rule.below_m:
+            found = f"from_m {rule.from_m:g}, below_m {rule.below_m:g}"
+            raise ParameterError(where, found, "from_m below below_m")
     names = list(dict.fromkeys(rule.category for rule in rules if rule.category != UNKNOWN))
     if not set(content.heavy) <= set(names):
         found = ", ".join(content.heavy)
@@ -205,6 +212,8 @@ def scheme_of(content: SchemeFile, place: str) -> ClassScheme:
 
 def _class_id(place: str, given: str | int) -> int:
     if isinstance(given, int):
+        if given not in range(UNKNOWN_CLASS, len(COCO_NAMES)):
+            raise ParameterError(place, f"class {given}", f"-1 to {len(COCO_NAMES) - 1}")
         return given
     if given == UNKNOWN:
         return UNKNOWN_CLASS

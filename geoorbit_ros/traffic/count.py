@@ -12,7 +12,7 @@ from geoorbit_ros.core.errors import NoTrafficError
 from geoorbit_ros.core.tables import Frames
 from geoorbit_ros.traffic.class_schemes import ClassScheme
 from geoorbit_ros.traffic.counter import Counted, TrafficCounter
-from geoorbit_ros.traffic.event_records import EVENT_DTYPE
+from geoorbit_ros.traffic.event_records import EVENT_DTYPE, EventState
 from geoorbit_ros.traffic.events import EventWatch
 from geoorbit_ros.traffic.interval_clock import IntervalClock, ObservedTime
 from geoorbit_ros.traffic.measures import Traffic, measure, measured_lanes
@@ -21,6 +21,9 @@ from geoorbit_ros.traffic.records import CROSSING_DTYPE, PASSAGE_DTYPE
 
 AT_ONCE = 1000
 """Intervals measured at once. Chosen: 10 MB of tables for ten lanes; more takes memory."""
+TAKE_NS = 60_000_000_000
+"""Time between two looks for vehicles that are gone. Chosen: more often costs time where vehicles
+stand in view, more seldom takes memory."""
 
 
 @dataclass(slots=True)
@@ -46,6 +49,7 @@ class Recorded:
     frames: int = 0
     vehicles: int = 0
     in_no_lane: int = 0
+    _taken_ns: int = 0
     _counted: list[Counted] = field(default_factory=list)
     _events: list[NDArray[np.void]] = field(default_factory=list)
 
@@ -60,8 +64,10 @@ class Recorded:
         self.observed.add(frames.stamp_ns)
         self.counter.add(frames)
         self.watch.add(frames)
-        self._keep(self.counter.take())
         self._events.append(self.watch.take())
+        if self.last_ns - self._taken_ns >= TAKE_NS:  # each time sorts all that is in view
+            self._taken_ns = self.last_ns
+            self._keep(self.counter.take())
 
     def finish(self) -> None:
         """Count the vehicles that are still in view."""
@@ -85,10 +91,15 @@ class Recorded:
 
     @property
     def events(self) -> NDArray[np.void]:
-        """(E,) `EVENT_DTYPE`: the newest row of each event, by their beginning."""
+        """(E,) `EVENT_DTYPE`: the newest row of each event, by their beginning.
+
+        What has not ended goes on until the last frame.
+        """
         rows = np.concatenate([np.empty(0, EVENT_DTYPE), *self._events])
         newest = {int(event): k for k, event in enumerate(rows["event_id"].tolist())}
         rows = rows[sorted(newest.values())]
+        going_on = rows["state"] != EventState.ENDED
+        rows["last_ns"][going_on] = self.last_ns
         return np.asarray(rows[np.argsort(rows["first_ns"], kind="stable")])
 
     def traffic(self, scheme: ClassScheme) -> Traffic:
@@ -120,11 +131,17 @@ def record(counter: TrafficCounter, blocks: Iterable[Frames], max_gap_s: float) 
 def all_measures(
     recorded: Recorded, scheme: ClassScheme, clock: IntervalClock
 ) -> Iterator[NDArray[np.void]]:
-    """Tables of `measures.MEASURE_DTYPE`, in time order, at most `AT_ONCE` intervals in each."""
+    """Tables of `measures.MEASURE_DTYPE`, in time order, at most `AT_ONCE` intervals in each.
+
+    So many intervals of which nothing was watched are left out: the clock was set, or there are two
+    recordings.
+    """
     traffic = recorded.traffic(scheme)
     edges = clock.edges(recorded.first_ns, recorded.last_ns)
     for k in range(0, len(edges) - 1, AT_ONCE):
-        yield measure(traffic, edges[k : k + AT_ONCE + 1])
+        part = edges[k : k + AT_ONCE + 1]
+        if k == 0 or traffic.observed.seconds(part).any():
+            yield measure(traffic, part)
 
 
 def whole_measures(recorded: Recorded, scheme: ClassScheme) -> NDArray[np.void]:

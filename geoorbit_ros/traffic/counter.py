@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from geoorbit_ros.calibration.plane import RoadPlane
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.tables import MOTORCYCLE, Frames
-from geoorbit_ros.traffic.class_schemes import BICYCLE
+from geoorbit_ros.traffic.class_schemes import BICYCLE, MOVING_CLASSES
 from geoorbit_ros.traffic.lane_sequence import LaneMatcher, cut_at_oncoming
 from geoorbit_ros.traffic.motion_fit import VEHICLE_SCALE
-from geoorbit_ros.traffic.passages import find_passages
+from geoorbit_ros.traffic.passages import classes, find_passages
 from geoorbit_ros.traffic.records import CROSSING_DTYPE, NO_LANE, PASSAGE_DTYPE
 from geoorbit_ros.traffic.road_coordinates import RoadCoordinates
 from geoorbit_ros.traffic.stations import find_crossings, place_stations
@@ -107,8 +107,13 @@ class TrafficCounter:
             return Counted(np.empty(0, PASSAGE_DTYPE), np.empty(0, CROSSING_DTYPE), 0, 0)
         found = self._matcher.lanes_of(paths)
         paths = cut_at_oncoming(paths, found)
-        passages = self._named(find_passages(paths, found))
-        crossings = self._named(find_crossings(paths, found, self.stations))
+        moving = np.isin(classes(paths), MOVING_CLASSES)
+        passages, crossings = (
+            find_passages(paths, found),
+            find_crossings(paths, found, self.stations),
+        )
+        passages = self._named(passages[moving[passages["vehicle_id"]]])
+        crossings = self._named(crossings[moving[crossings["vehicle_id"]]])
         first_ns, last_ns = self._paths.observed_ns
         inside = (crossings["stamp_ns"] >= first_ns) & (crossings["stamp_ns"] <= last_ns)
         crossings = crossings[inside]
@@ -116,7 +121,7 @@ class TrafficCounter:
         crossings = crossings[~np.isin(crossings["vehicle_id"], twice)]
         passages = passages[~np.isin(passages["vehicle_id"], twice)]
         self.vehicles += len(paths)
-        seen = len(paths) - len(twice)
+        seen = int(np.count_nonzero(moving)) - len(twice)
         missing = seen - len(np.unique(passages["vehicle_id"]))
         return Counted(passages, crossings, seen, missing)
 
@@ -164,7 +169,9 @@ def _overlap(
     at_ns: int, speed: float, length_m: float, other_ns: int, other_speed: float, other_m: float
 ) -> bool:
     """Whether two vehicles at one line would be in one place."""
-    distance_m = (abs(at_ns - other_ns) * 1e-9 - GAP_S) * min(speed, other_speed)
+    # The faster of the two speeds: who starts at a signal crosses the line slowly, and is gone by
+    # the time that the next one comes.
+    distance_m = (abs(at_ns - other_ns) * 1e-9 - GAP_S) * max(speed, other_speed)
     lengths = [m if np.isfinite(m) else CAR_LENGTH_M for m in (length_m, other_m)]
     return distance_m < LENGTH_SHARE * sum(lengths) / 2
 

@@ -19,12 +19,13 @@ NS = 1_000_000_000
 GAP_S = 2.0
 """Frames farther apart than this were not watched between. Chosen: cameras send an image a second
 or more often; longer takes short outages for empty roads."""
-GAP_BY_CHANCE = 14.0
+GAP_BY_CHANCE = 21.0
 """Files that list vehicles only don't say when the camera watched an empty road. A pause is an
-outage when traffic as heavy as in the rest makes it with a chance of e^-14, one in a million."""
-LEAST_QUIET_S = 60.0
-"""A shorter pause of such a file is never an outage. Chosen: traffic lights stop a road for a
-minute; longer hides outages."""
+outage when it is so many times as long as the mean time between vehicles: chance makes it once in a
+million, e^-14, and traffic comes in platoons, which makes pauses longer by half."""
+LEAST_QUIET_S = 30.0
+"""A shorter pause of such a file is never an outage. Chosen: half the red time of a traffic light;
+longer hides outages."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,12 +153,17 @@ def usual_gap_s(frames: Frames) -> float:
     """How long a pause between a recording's frames may be without being an outage, in seconds.
 
     Recordings that have frames without vehicles have a frame for every image. Others don't say when
-    the road was empty: their pauses are held against the traffic.
+    the road was empty: their pauses are held against the traffic, as it is without those pauses
+    that are too long for it.
     """
     if len(frames) < 3 or bool((np.diff(frames.offset) == 0).any()):
         return GAP_S
     pause_s = np.diff(frames.stamp_ns) / NS
-    usual = 5.0 * float(np.median(pause_s))
-    empty = pause_s[pause_s > max(usual, GAP_S)]
-    quiet = float(empty.mean()) if len(empty) > 3 else 0.0
-    return max(LEAST_QUIET_S, usual, GAP_BY_CHANCE * quiet)
+    least = max(LEAST_QUIET_S, 5.0 * float(np.median(pause_s)))
+    vehicles, limit = len(np.unique(frames.rows["track_id"])), float("inf")
+    while True:
+        watched_s = float(pause_s[pause_s <= limit].sum())
+        shorter = max(least, GAP_BY_CHANCE * watched_s / vehicles)
+        if shorter >= limit:
+            return limit
+        limit = shorter

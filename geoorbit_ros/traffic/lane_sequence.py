@@ -35,6 +35,9 @@ more than a lane change, as vehicles seldom come from beside the road."""
 NO_LANE_COST = 6.0
 """Cost of a place in no lane: as much as one 1.7 m from a lane's middle. Chosen: half a lane's
 width; less takes vehicles out of lanes that drivers cut, more puts others into one."""
+ASIDE_M = 0.75
+"""Farther beyond a lane's edge a place is in no lane, however unsure it is. Chosen: the middle of a
+vehicle in the next lane is a metre and more beyond."""
 MAX_COST = 20.0
 """No place speaks stronger against a lane. Chosen: single boxes can be wrong by any distance."""
 BEYOND_M = 5.0
@@ -95,6 +98,9 @@ class LaneMatcher:
         with np.errstate(invalid="ignore"):
             against = np.cos(places.heading_rad - heading[:, None]) < SAME_COS
         cost[:, :-1][outside | against | np.isinf(places.offset_m)] = MAX_COST
+        # Unsure places fit lanes that are far aside: beyond its edge nobody is in a lane.
+        beside = places.half_width_m.min(axis=1, initial=np.inf) + ASIDE_M
+        cost[:, -1] = np.minimum(NO_LANE_COST, 0.5 * (beside / sigma[:, 0]) ** 2)
         return cost
 
 

@@ -32,9 +32,16 @@ LONGEST_HEADWAY_S = 1800.0
 """Vehicles farther apart have no headway. Chosen: with less than two vehicles an hour nothing is
 said about headways; that makes every interval depend on the half hour before it alone, so that a
 counter which was started again says the same."""
-LEAST_WATCHED = 0.02
-"""Of an interval that was watched for a smaller share nothing is said but its count. Chosen: flows
-from a few seconds are those of single vehicles."""
+LEAST_WATCHED, ENOUGH_S = 0.02, 60.0
+"""Of an interval that was watched for a smaller share, and for less than a minute, no flow is said.
+Chosen: flows from a few seconds are those of single vehicles."""
+PER_TIME = (
+    "flow_veh_per_h",
+    "flow_sigma_veh_per_h",
+    "density_veh_per_km",
+    "occupancy_percent",
+)
+"""Measures that depend on how long was watched."""
 
 MEASURE_DTYPE = np.dtype(
     [
@@ -134,9 +141,9 @@ def measure(traffic: Traffic, edges_ns: NDArray[np.int64]) -> NDArray[np.void]:
     groups.headways(out)
     groups.uses(out)
     unwatched = out["observed"] < LEAST_WATCHED
-    for name in MEASURE_DTYPE.names or ():
-        if MEASURE_DTYPE[name].kind == "f" and name not in ("observed", "volume_sigma"):
-            out[name][unwatched] = np.nan
+    unwatched &= groups.watched_s[:, None, None] < ENOUGH_S
+    for name in PER_TIME:
+        out[name][unwatched] = np.nan
     there = (out["volume"] > 0) | (out["density_veh_per_km"] > 0.0)
     there[:, :, 0] = True
     return out[there]
@@ -219,8 +226,7 @@ class _Groups:
             heavy = scheme.is_heavy[category].astype(np.float64)
             is_known = (category < len(scheme.categories) - 1).astype(np.float64)
             known = self.sums(self.crossing, is_known)
-            share = self.sums(self.crossing, heavy) / count
-            out["heavy_share"] = np.where(known > 0.0, share, np.nan)
+            out["heavy_share"] = self.sums(self.crossing, heavy) / known
 
     def _unsure(self) -> _Index:
         """Vehicles that were seen in a lane but didn't cross its station: some were lost."""
@@ -249,9 +255,13 @@ class _Groups:
             single = np.sqrt(self.sums(self.crossing, noise)) / count
             common = self.sums(self.crossing, scale) / count
             out["time_mean_speed_sigma_kmh"] = 3.6 * np.hypot(single, common)
-            # Nobody's length is known in part of the rows: then nothing is said.
-            over_s = self.sums(self.crossing, rows["length_m"] / np.maximum(speed, 0.1))
-            out["occupancy_percent"] = 100.0 * over_s / self.watched_s[:, None, None]
+            # Vehicles of unknown length count like the others.
+            has_length = np.isfinite(rows["length_m"])
+            over_s = np.where(has_length, rows["length_m"], 0.0) / np.maximum(speed, 0.1)
+            known = self.sums(self.crossing, has_length.astype(np.float64))
+            over = self.sums(self.crossing, over_s) * count / known
+            over = np.where(count > 0.0, over, 0.0)
+            out["occupancy_percent"] = 100.0 * over / self.watched_s[:, None, None]
             lanes = self._lanes_of_row()
             out["occupancy_percent"] /= lanes[None, :, None]
         out["speed_p85_kmh"] = 3.6 * self._quantile(speed, 0.85)
@@ -367,11 +377,12 @@ def headways_s(crossings: NDArray[np.void], observed: ObservedTime) -> tuple[Arr
     order = np.lexsort((crossings["stamp_ns"], crossings["lane_id"]))
     rows = crossings[order]
     speed = np.maximum(rows["speed_mps"], 0.1)
-    half_s = np.nan_to_num(rows["length_m"]) / 2 / speed
+    half_s = rows["length_m"] / 2 / speed
     middle_s = np.diff(rows["stamp_ns"]) / NS
     same = (rows["lane_id"][1:] == rows["lane_id"][:-1]) & (middle_s <= LONGEST_HEADWAY_S)
     same &= observed.watched(rows["stamp_ns"][:-1], rows["stamp_ns"][1:])
-    between = np.where(same, middle_s - np.diff(half_s), np.nan)
+    fronts = np.nan_to_num(np.diff(half_s))  # 0 where one of the two lengths isn't known
+    between = np.where(same, middle_s - fronts, np.nan)
     headway[order[1:]] = between
-    gap[order[1:]] = between - rows["length_m"][:-1] / speed[:-1]
+    gap[order[1:]] = between - rows["length_m"][:-1] / speed[:-1] + 0.0 * half_s[1:]
     return headway, gap

@@ -19,6 +19,9 @@ SHORTEST_M = 5.0
 """A lane in which a vehicle drove less far was none of its lanes. Chosen: a car's length."""
 
 
+END_M = 1.5
+"""1-sigma error of a passage's length by its first and last place. Chosen: boxes are cut or merged
+there by a third of a car."""
 LEAST_SIGMA_M = 0.02
 """No place is surer. Chosen: keeps weights finite where a producer claims exact places."""
 
@@ -67,7 +70,12 @@ def find_passages(paths: Paths, found: LaneSequence) -> NDArray[np.void]:
     out["first_arc_m"], out["last_arc_m"] = arc[begin], arc[end]
     time_s = (stamp_ns - stamp_ns[begin][runs.run]) * 1e-9
     fit = fit_motions(runs.run, len(begin), time_s, arc, place_sigma(paths)[runs.rows])
-    out["speed_mps"], out["speed_sigma_mps"] = fit.mean_mps, fit.noise_mps
+    # One curve describes who keeps driving. Who stops on the way has the speed of way and time.
+    duration_s = np.maximum((out["last_ns"] - out["first_ns"]) * 1e-9, 1e-3)
+    plain, plain_sigma = (out["last_arc_m"] - out["first_arc_m"]) / duration_s, END_M / duration_s
+    stops = np.abs(plain - fit.mean_mps) > 3.0 * np.hypot(plain_sigma, fit.noise_mps)
+    out["speed_mps"] = np.where(stops, plain, fit.mean_mps)
+    out["speed_sigma_mps"] = np.where(stops, plain_sigma, fit.noise_mps)
     out["from_lane"] = out["to_lane"] = -1
     same = out["vehicle_id"][1:] == out["vehicle_id"][:-1]
     out["from_lane"][1:][same] = out["lane_id"][:-1][same]

@@ -35,6 +35,9 @@ SPOT_S = 1.5
 shorter time gives noise, in a longer one speeds change."""
 SPOT_ROWS = round(SPOT_S * 1e9 / BIN_NS)
 """At most so many rows either way."""
+CLEAR_M = 2.0
+"""Who began this far before the line and ended this far behind it has crossed it, however slowly.
+Chosen: half a car's length, more than the noise of places."""
 SLOWEST_MPS = 0.5
 """A place moves on slower than this by noise alone. Chosen: 2 km/h."""
 
@@ -139,7 +142,11 @@ def _crossings_of(paths: Paths, found: LaneSequence, station: Station) -> NDArra
     earlier = np.maximum(at - 1, 0)
     between = (owner[earlier] == owner[at]) & (beyond[earlier] < 0.0) & (beyond[at] >= 0.0)
     between &= (when >= time_s[earlier] - REACH_S) & (when <= time_s[at] + REACH_S)
-    crossed = (speed > SLOWEST_MPS) & (between | (np.abs(time_s[at] - when) <= REACH_S))
+    slow = speed <= SLOWEST_MPS
+    passed = _passed(owner, beyond) if len(owner) else np.zeros(0, np.bool_)
+    when = np.where(slow & passed, time_s[at], when)  # it crept over the line
+    speed = np.maximum(speed, 0.0)
+    crossed = (~slow | passed) & (between | (np.abs(time_s[at] - when) <= REACH_S))
     at, when, speed = at[crossed], when[crossed], speed[crossed]
     vehicle = owner[at]
     out = np.zeros(len(at), CROSSING_DTYPE)
@@ -154,15 +161,28 @@ def _crossings_of(paths: Paths, found: LaneSequence, station: Station) -> NDArra
 
 
 def _nearest_rows(owner: NDArray[np.int64], beyond: Array) -> NDArray[np.int64]:
-    """(V,) of each vehicle the first row behind the line, or the row nearest to it."""
+    """(V,) of each vehicle the row behind its last change to the far side, or the nearest row.
+
+    The last one, because the noise of a vehicle that waits on the line changes sides, too.
+    """
     if not len(owner):
         return np.empty(0, np.int64)
     begin = np.flatnonzero(np.diff(owner, prepend=-1))
+    behind = beyond >= 0.0
+    steps = np.zeros(len(owner), np.bool_)
+    steps[1:] = behind[1:] & ~behind[:-1]
+    steps[begin] = False
+    last = np.maximum.reduceat(np.where(steps, np.arange(len(owner)), -1), begin)
     end = np.append(begin[1:], len(owner))
-    index = np.arange(len(owner))
-    behind = np.where(beyond >= 0.0, index, len(owner))
-    first = np.minimum.reduceat(behind, begin)
-    return np.where(first < end, first, end - 1)
+    nearest = np.where(behind[begin], begin, end - 1)
+    return np.where(last >= 0, last, nearest)
+
+
+def _passed(owner: NDArray[np.int64], beyond: Array) -> NDArray[np.bool_]:
+    """(V,) whether each vehicle began well before the line and ended well behind it."""
+    begin = np.flatnonzero(np.diff(owner, prepend=-1))
+    end = np.append(begin[1:], len(owner)) - 1
+    return np.asarray((beyond[begin] < -CLEAR_M) & (beyond[end] > CLEAR_M))
 
 
 def _spot(

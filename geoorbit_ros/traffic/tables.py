@@ -80,6 +80,9 @@ def interval_table(
             columns["class"] = _names(measures["category"], scheme)
         elif name in ("lane_id", "lane_number"):
             columns[name] = _lanes(measures[name])
+        elif name == "volume":
+            missing = (measures["volume"] == 0) & np.isnan(measures["flow_veh_per_h"])
+            columns[name] = pa.array(measures["volume"], mask=missing)
         elif MEASURE_DTYPE[name].kind == "f":
             columns[name] = _rounded(measures[name], DECIMALS.get(name, 2))
         else:

@@ -23,6 +23,12 @@ SPLIT_NS = 10_000_000_000
 """An id that is not seen for this long names another vehicle when it comes back, as for the
 projector (`calibration.track_velocity`)."""
 
+PAUSE_NS, SPEED_ROWS = 1_000_000_000, 5
+"""After a pause of a second an id's speed before it, over half a second, says where it can be."""
+JUMP_M, BRAKING_MPS2 = 10.0, 3.0
+"""Distance from that place at which an id has gone over to another vehicle: a short vehicle's two
+lengths, and what hard braking (AASHTO's 3.4 m/s2) makes, by half more."""
+
 PATH_DTYPE = np.dtype(
     [
         ("stamp_ns", "<i8"),
@@ -157,9 +163,25 @@ def _first_of_bins(rows: NDArray[np.void]) -> NDArray[np.bool_]:
 
 
 def _track_numbers(rows: NDArray[np.void]) -> NDArray[np.int64]:
-    """(N,) number of the track of each sorted row; an id that pauses for long starts anew."""
+    """(N,) number of the track of each sorted row.
+
+    An id that pauses for long starts anew, and so does one that comes back where no vehicle with
+    its speed can be: some trackers give the ids of vehicles that are gone to new ones.
+    """
     begins = np.ones(len(rows), np.bool_)
     begins[1:] = (np.diff(rows["track_id"]) != 0) | (np.diff(rows["stamp_ns"]) > SPLIT_NS)
+    pauses = np.flatnonzero(~begins[1:] & (np.diff(rows["stamp_ns"]) > PAUSE_NS)) + 1
+    before = np.maximum(pauses - SPEED_ROWS, 0)
+    known = (rows["track_id"][before] == rows["track_id"][pauses]) & (before < pauses - 1)
+    time_s = (rows["stamp_ns"][pauses] - rows["stamp_ns"][pauses - 1]) * 1e-9
+    span_s = np.maximum((rows["stamp_ns"][pauses - 1] - rows["stamp_ns"][before]) * 1e-9, 0.1)
+    error = np.zeros(len(pauses))
+    for name in ("x", "y"):
+        speed = (rows[name][pauses - 1] - rows[name][before]) / span_s
+        error = np.hypot(error, rows[name][pauses] - rows[name][pauses - 1] - speed * time_s)
+    allowed = JUMP_M + 3.0 * (rows["sigma"][pauses] + rows["sigma"][pauses - 1])
+    allowed = allowed + 1.5 * BRAKING_MPS2 * time_s**2 / 2.0
+    begins[pauses[known & (error > allowed)]] = True
     return np.cumsum(begins) - 1
 
 

@@ -1,6 +1,6 @@
 """Intervals on local clocks, and the time that a camera watched."""
 
-from datetime import datetime, timedelta
+from datetime import datetime
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -98,18 +98,39 @@ def test_watched_time_is_the_same_however_frames_come_in(step: int) -> None:
     assert whole.spans_ns == parts.spans_ns
 
 
-def frames_at(stamps_s: np.ndarray, empty: bool) -> Frames:
-    rows = np.zeros(0 if empty else 1, TRACK_DTYPE)
-    full = np.zeros(1, TRACK_DTYPE)
-    tables = [(int(s * NS), rows if k % 2 else full) for k, s in enumerate(stamps_s)]
-    return join_frames(tables, TRACK_DTYPE)
+def made_up(arrivals_s: np.ndarray, empty: bool) -> Frames:
+    """Each vehicle is seen for two seconds, ten times a second; `empty`: frames without any too."""
+    tables = dict[int, list[int]]()
+    for vehicle, arrival in enumerate(arrivals_s.tolist()):
+        for k in range(20):
+            tables.setdefault(round(10 * arrival) + k, []).append(vehicle)
+    if empty:
+        tables = {k: tables.get(k, []) for k in range(max(tables) + 1)}
+    frames = []
+    for k in sorted(tables):
+        rows = np.zeros(len(tables[k]), TRACK_DTYPE)
+        rows["track_id"] = tables[k]
+        frames.append((k * NS // 10, rows))
+    return join_frames(frames, TRACK_DTYPE)
 
 
-def test_a_file_of_vehicles_alone_takes_pauses_for_an_empty_road_unless_traffic_is_heavy() -> None:
-    random = np.random.default_rng(0)
-    arrivals = np.cumsum(random.exponential(12.0, 400))
-    stamps = np.unique(np.concatenate([arrivals + 0.1 * k for k in range(20)]).round(1))
-    assert usual_gap_s(frames_at(stamps, empty=True)) == 2.0
-    usual = usual_gap_s(frames_at(stamps, empty=False))
-    assert np.diff(stamps).max() < usual < 600.0
-    assert timedelta(seconds=usual) > timedelta(minutes=1)
+@pytest.mark.parametrize("headway_s", [3.0, 12.0, 60.0])
+def test_in_a_file_of_vehicles_alone_an_empty_road_is_no_outage(headway_s: float) -> None:
+    arrivals = np.cumsum(np.random.default_rng(0).exponential(headway_s, 400))
+    assert usual_gap_s(made_up(arrivals, empty=True)) == 2.0
+    frames = made_up(arrivals, empty=False)
+    assert np.diff(frames.stamp_ns).max() / NS < usual_gap_s(frames)
+
+
+@pytest.mark.parametrize(("outages", "length_s"), [(1, 60.0), (6, 540.0), (40, 300.0)])
+def test_outages_are_outages_however_many_there_are(outages: int, length_s: float) -> None:
+    arrivals = np.cumsum(np.random.default_rng(1).exponential(1.5, 1200))
+    for k in range(outages):
+        after = arrivals > arrivals[(k + 1) * 1200 // (outages + 1)]
+        arrivals[after] += length_s
+    frames = made_up(arrivals, empty=False)
+    usual = usual_gap_s(frames)
+    assert usual < length_s
+    observed = ObservedTime(usual)
+    observed.add(frames.stamp_ns)
+    assert len(observed.spans_ns) == outages + 1

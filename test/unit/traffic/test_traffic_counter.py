@@ -238,3 +238,93 @@ def test_rows_of_another_kind_and_earlier_frames_are_refused() -> None:
         TrafficCounter(TWO_LANES).add(boxes)
     with pytest.raises(TableError, match="at least one"):
         TrafficCounter([])
+
+
+def timed(
+    x_m: NDArray[np.float64], track_id: int, start_s: float = 0.0, class_id: int = 2, seed: int = 0
+) -> tuple[NDArray[np.int64], NDArray[np.void]]:
+    """A vehicle on the x axis by its places every tenth of a second."""
+    _, rows = drive(straight(), track_id=track_id)
+    rows = np.repeat(rows[:1], len(x_m))
+    noise = np.random.default_rng(seed).normal(0.0, 0.3, (len(x_m), 2))
+    rows["x"], rows["y"] = x_m + noise[:, 0], noise[:, 1]
+    rows["class_id"], rows["sigma"] = class_id, 0.3
+    tenths = np.round(10 * start_s + np.arange(len(x_m))).astype(np.int64)
+    return tenths * 100_000_000, rows
+
+
+def stops_at(at_m: float, wait_s: float, start_m: float = 0.0) -> NDArray[np.float64]:
+    """Places of a vehicle at 10 m/s that stands at one place for a time."""
+    going = np.arange(start_m, at_m, 1.0)
+    standing = np.full(round(10 * wait_s), at_m)
+    return np.concatenate((going, standing, np.arange(at_m, LENGTH_M, 1.0)))
+
+
+@pytest.mark.parametrize("before_m", [2.0, 1.0, 0.3, 0.0, -0.5])
+def test_who_waits_at_the_line_is_counted_when_it_drives_on(before_m: float) -> None:
+    (station,) = place_stations(TWO_LANES)
+    line_m = station.arc_m[0]
+    vehicles = [
+        timed(stops_at(line_m - before_m, 60.0), k + 1, 100.0 * k, seed=k) for k in range(10)
+    ]
+    counted = count(frames_of(*vehicles), TWO_LANES)
+    assert len(counted.crossings) == 10
+    assert len(counted.passages) == 10
+
+
+def test_all_who_start_at_a_signal_are_counted() -> None:
+    """Six metres apart, each a second after the one before it, with 1 m/s2."""
+    vehicles = []
+    for k in range(12):
+        since_s = np.maximum(np.arange(0, 40, 0.1) - 1.0 * k, 0.0)
+        driven_m = np.where(since_s < 10.0, 0.5 * since_s**2, 10.0 * since_s - 50.0)
+        x_m = 58.0 - 6.0 * k + driven_m
+        seen = (x_m > 0.0) & (x_m < LENGTH_M)
+        vehicles.append(timed(x_m[seen], k + 1, float(seen.argmax()) / 10, seed=k))
+    counted = count(frames_of(*vehicles), TWO_LANES)
+    (station,) = place_stations(TWO_LANES)
+    due = sum(1 for k in range(12) if 58.0 - 6.0 * k < station.arc_m[0])
+    assert len(counted.crossings) == due
+    assert len(counted.passages) == 12
+
+
+@pytest.mark.parametrize("wait_s", [0.0, 5.0, 30.0, 120.0])
+def test_the_speed_of_a_passage_is_its_way_over_its_time(wait_s: float) -> None:
+    counted = count(frames_of(timed(stops_at(40.0, wait_s), 1)), TWO_LANES)
+    (passage,) = counted.passages
+    mean_mps = (LENGTH_M - 1.0) / ((LENGTH_M - 1.0) / 10.0 + wait_s)
+    assert passage["speed_mps"] == pytest.approx(mean_mps, rel=0.05)
+    assert abs(passage["speed_mps"] - mean_mps) < 4.0 * passage["speed_sigma_mps"]
+
+
+def test_an_id_that_comes_back_at_the_beginning_of_the_lane_is_another_vehicle() -> None:
+    """Some trackers give the lowest free id to the next vehicle."""
+    way = np.arange(0.0, LENGTH_M, 2.5)
+    vehicles = [timed(way, 1, (len(way) / 10 + 4.0) * k, seed=k) for k in range(20)]
+    counted = count(frames_of(*vehicles), TWO_LANES)
+    assert counted.vehicles == 20
+    assert len(counted.crossings) == 20
+
+
+def test_an_id_that_is_hidden_for_some_seconds_is_the_same_vehicle() -> None:
+    stamps, rows = timed(np.arange(0.0, LENGTH_M, 1.0), 1)
+    seen = (rows["x"] < 30.0) | (rows["x"] > 90.0)
+    counted = count(frames_of((stamps[seen], rows[seen])), TWO_LANES)
+    assert counted.vehicles == 1
+
+
+@pytest.mark.parametrize("class_id", [0, 16])
+def test_people_and_dogs_are_no_traffic(class_id: int) -> None:
+    walkers = [timed(np.arange(0, 119, 0.15), k + 1, 20.0 * k, class_id) for k in range(3)]
+    counted = count(frames_of(*walkers, timed(np.arange(0.0, 119.0), 9)), TWO_LANES)
+    assert counted.vehicles == 1
+    assert counted.crossings["track_id"].tolist() == [9]
+
+
+def test_unsure_places_beside_the_only_lane_are_in_no_lane() -> None:
+    stamps, rows = drive(straight(offset_m=WIDTH_M), noise_m=0.3)
+    rows["sigma"] = 1.2
+    assert count(frames_of((stamps, rows)), [lane(3, straight())]).in_no_lane == 1
+    stamps, rows = drive(straight(offset_m=0.8), noise_m=0.3)
+    rows["sigma"] = 1.2
+    assert count(frames_of((stamps, rows)), [lane(3, straight())]).in_no_lane == 0
