@@ -197,8 +197,11 @@ def _export_traffic(
             if camera_id not in known:
                 raise ParameterError("option --camera-id", f"'{camera_id}'", ", ".join(known))
         if not series:
-            found = f"no traffic in {database}"
-            raise ParameterError("option --table", found, "one that the node traffic has written")
+            found = f"no finished interval in {database}"
+            wanted_is = (
+                "traffic that the node traffic has stored (geoorbit traffic --database counts)"
+            )
+            raise ParameterError("option --table", found, wanted_is)
         wanted = [s.name for s in series if not camera_ids or s.name.camera_id in camera_ids]
         parts = [
             _traffic_table(reader, table, name, (start_ns, end_ns), zone)

@@ -259,6 +259,10 @@ def source_of_database(
         known = list(frame_counts)
         name = camera_id or (known[0] if len(known) == 1 else "")
         if not name:
+            if not known:
+                raise ParameterError(
+                    "option --database", f"no camera in {database}", "tracks in it"
+                )
             found = f"{len(known)} cameras in {database}"
             raise ParameterError("option --camera-id", found, f"one of {', '.join(known)}")
         stamps = reader.lane_map_stamps(name)
@@ -380,10 +384,12 @@ def _tell(
     source: TrafficSource, recorded: Recorded, scheme: ClassScheme, clock: IntervalClock
 ) -> None:
     """One row per lane for the whole recording, and the events."""
+    import numpy as np
+
     from geoorbit_ros.cli.console import console, count_of, make_table, print_remarks, say
     from geoorbit_ros.report.text import number
     from geoorbit_ros.report.traffic.tables import with_error
-    from geoorbit_ros.report.traffic.text import event_sentences
+    from geoorbit_ros.report.traffic.text import event_sentences, uncounted_sentences
     from geoorbit_ros.traffic.count import whole_measures
 
     table = make_table(
@@ -405,11 +411,10 @@ def _tell(
             end_section=bool(total),
         )
     console.print(table)
-    if recorded.in_no_lane:
-        say(
-            f"{recorded.in_no_lane} of {count_of(recorded.vehicles, 'vehicle')} were seen along no "
-            "lane for as far as 5 m, most of them at the edge of the view: they don't count."
-        )
+    crossed = len(np.unique(recorded.crossings["vehicle_id"]))
+    not_crossed = recorded.vehicles - recorded.in_no_lane - crossed
+    for sentence in uncounted_sentences(recorded.vehicles, recorded.in_no_lane, not_crossed):
+        say(sentence)
     for sentence in event_sentences(recorded.events, clock.zone)[:SHOWN_EVENTS]:
         say(sentence)
     more = len(recorded.events) - SHOWN_EVENTS

@@ -83,6 +83,12 @@ class TrafficContent:
         return (self.span_ns[1] - self.span_ns[0]) / NS
 
     @property
+    def not_crossed(self) -> int:
+        """How many vehicles drove along a lane and crossed no station."""
+        seen, crossed = self.traffic.passages["vehicle_id"], self.traffic.crossings["vehicle_id"]
+        return len(np.setdiff1d(seen, crossed))
+
+    @property
     def watched_s(self) -> float:
         """How long the camera watched."""
         return sum(b - a for a, b in self.traffic.observed.spans_ns) / NS

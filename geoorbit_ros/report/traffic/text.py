@@ -16,6 +16,10 @@ from geoorbit_ros.traffic.interval_clock import CLOCK_SINCE_NS, NS
 from geoorbit_ros.traffic.records import NO_LANE
 from geoorbit_ros.traffic.stations import Station
 
+UNFITTING = 0.6
+"""Share of vehicles in no lane from which lanes and tracks may not belong together. Chosen: a view
+of side streets has half of its vehicles in no lane."""
+
 
 def towards(station: Station) -> str:
     """`towards SE`."""
@@ -92,7 +96,7 @@ def _event_sentence(row: np.void, zone: str) -> str:
     begin, end = (moment_text(int(row[name]), zone) for name in ("first_ns", "last_ns"))
     time = f"from {begin} to {end}"
     if row["state"] != EventState.ENDED:
-        time = f"since {begin}, still there at {end}"
+        time = f"since {begin}, still so at {end}"
     at = f"{number(row['arc_m'], 0)} m along it"
     speed = f"{number(3.6 * row['speed_mps'], 0)} km/h"
     words = {
@@ -109,6 +113,32 @@ def _event_sentence(row: np.void, zone: str) -> str:
     return words[kind]
 
 
+def uncounted_sentences(vehicles: int, in_no_lane: int, not_crossed: int) -> list[str]:
+    """Why fewer vehicles are counted than were seen.
+
+    Args:
+        vehicles: How many were seen.
+        in_no_lane: How many of them drove along no lane.
+        not_crossed: How many drove along a lane and crossed no station.
+    """
+    sentences = list[str]()
+    if in_no_lane > UNFITTING * vehicles:
+        sentences.append(
+            f"Only {vehicles - in_no_lane} of {count(vehicles, 'vehicle')} drove along a lane of "
+            "the map: do the lanes belong to these tracks, and do they lead the right way?"
+        )
+    elif in_no_lane:
+        sentences.append(
+            f"Of {count(vehicles, 'vehicle')}, {in_no_lane} were followed in a lane for less than "
+            "5 m, most of them at the edge of the view, and are not counted."
+        )
+    if not_crossed:
+        sentences.append(
+            f"{not_crossed} more drove in a lane but were not seen where vehicles are counted."
+        )
+    return sentences
+
+
 def counting_notes(content: TrafficContent) -> list[str]:
     """What the numbers leave out."""
     notes = list[str]()
@@ -119,11 +149,7 @@ def counting_notes(content: TrafficContent) -> list[str]:
             f"{duration_text(content.duration_s)}: that time is missing in the counts and left out "
             "of flows. In the pictures it is hatched."
         )
-    if content.in_no_lane:
-        notes.append(
-            f"{content.in_no_lane} of {count(content.vehicles, 'vehicle')} were seen along no lane "
-            "for as far as 5 m and are not counted."
-        )
+    notes.extend(uncounted_sentences(content.vehicles, content.in_no_lane, content.not_crossed))
     return notes
 
 
