@@ -62,8 +62,9 @@ class MeasuredDemand:
             return []
         added = int(counts.count.sum() - counts.seen.sum())
         lines = [
-            f"{len(filled)} of {len(counts.observed)} intervals were not watched to the end; their "
-            f"rest has the traffic seen around it: {added} of {counts.count.sum()} vehicles."
+            f"{added} of {counts.count.sum()} vehicles of the demand were not seen: the traffic "
+            f"around fills {len(filled)} of {len(counts.observed)} intervals that were not watched "
+            "to the end."
         ]
         dark = [k for k in filled.tolist() if counts.observed[k] == 0.0]
         if dark:
