@@ -44,6 +44,8 @@ BUFFER_M = 1.3
 (MUTCD 3D.02)."""
 BUFFER_COST = 2.0
 """What speaks against two lines between two lanes. Chosen: one is the rule."""
+ONCOMING_COST = 0.0
+"""The same between two directions: each of them often has a line of its own."""
 BUFFER_WORTH, BUFFER_SHARE = 0.6, 0.7
 """Both are this clear, as a share of the road's clearest line, and accompany this share of a lane.
 Chosen: beside a lane line there often is a seam or a tyre track."""
@@ -68,15 +70,18 @@ Choice = tuple[int | None, int | None]
 """Numbers of the lines right and left of a lane; None for no line."""
 
 
-def choose_lines(lines: Sequence[PaintedLine], centre_m: Array) -> list[Choice]:
+def choose_lines(
+    lines: Sequence[PaintedLine], centre_m: Array, oncoming: Sequence[bool] = ()
+) -> list[Choice]:
     """The lines that bound each lane.
 
     Args:
         lines: Along the road.
         centre_m: (N, S) offsets of the lanes' centrelines by the traffic, from right to left; NaN
             beside a lane's ends.
+        oncoming: For each lane but the last whether the next leads the other way; default: none.
     """
-    return _Choosing(lines, centre_m).cheapest()
+    return _Choosing(lines, centre_m, oncoming).cheapest()
 
 
 def in_one_painted_lane(lines: Sequence[PaintedLine], centre_m: Array) -> list[bool]:
@@ -97,8 +102,11 @@ def in_one_painted_lane(lines: Sequence[PaintedLine], centre_m: Array) -> list[b
 class _Choosing:
     """The costs of choices, as sums of squared errors."""
 
-    def __init__(self, lines: Sequence[PaintedLine], centre_m: Array) -> None:
+    def __init__(
+        self, lines: Sequence[PaintedLine], centre_m: Array, oncoming: Sequence[bool] = ()
+    ) -> None:
         self._lines, self._centre = lines, centre_m
+        self._oncoming = list(oncoming) or [False] * len(centre_m)
         self._lanes = len(centre_m)
         self._worth = [worth(line) for line in lines]
         # (N, L) how far left of each lane's centre each line is, and the share of the lane that it
@@ -195,9 +203,13 @@ class _Choosing:
             return self._worth[left]  # it speaks once
         apart = _median(self._lines[right].offset_m - self._lines[left].offset_m)
         beside = 0.0 < apart < BUFFER_M
-        clear = min(self._worth[left], self._worth[right]) >= BUFFER_WORTH * max(self._worth)
+        worths = self._worth[left], self._worth[right]
+        # The two lines between two directions are alike; in shadow neither is as clear as others.
+        clearest = max(worths if self._oncoming[k] else self._worth)
+        clear = min(worths) >= BUFFER_WORTH * clearest
         lasting = min(self._share[k, left], self._share[k, right]) >= BUFFER_SHARE
-        return BUFFER_COST if beside and clear and lasting else np.inf
+        cost = ONCOMING_COST if self._oncoming[k] else BUFFER_COST
+        return cost if beside and clear and lasting else np.inf
 
 
 def _median(values: Array) -> float:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from math import hypot
 
 import cv2
@@ -217,7 +218,7 @@ def _beyond(road: Road, image: NDArray[np.uint8], reference_m: Array) -> tuple[P
     if len(road.lanes) < 2:
         return ()
     found: list[PaintedLine] = []
-    choice = choose_lines(road.lines, road.centre_m)
+    choice = choose_lines(road.lines, road.centre_m, _oncoming(road))
     for side, chosen in ((-1.0, choice[0][0]), (1.0, choice[-1][1])):
         if chosen is None or road.dashes[chosen] is None:
             continue
@@ -277,10 +278,16 @@ def _assigned(road: Road) -> tuple[Road, list[Choice]]:
     A lane of several bundles that is not bounded by two lines is none.
     """
     whole, joined = _without_bundles(road)
-    choice = choose_lines(whole.lines, whole.centre_m)
+    choice = choose_lines(whole.lines, whole.centre_m, _oncoming(whole))
     if any(None in choice[k] for k in joined):
-        return road, choose_lines(road.lines, road.centre_m)
+        return road, choose_lines(road.lines, road.centre_m, _oncoming(road))
     return whole, choice
+
+
+def _oncoming(road: Road) -> list[bool]:
+    """For each lane but the last whether the next leads the other way."""
+    along = [_leads_along(lane, road.strip) for lane in road.lanes]
+    return [here != there for here, there in pairwise(along)]
 
 
 def _without_bundles(road: Road) -> tuple[Road, list[int]]:
