@@ -43,11 +43,11 @@ def start(nodes: Composition, net: Path, **overrides: object) -> tuple[SumoBridg
 
 
 def frame(k: int) -> NDArray[np.void]:
-    """A vehicle every 80 m in each of three lanes, from x = 20 to 280, 20 m/s."""
+    """A vehicle every 80 m in each of three lanes, from x = 20 to 280, 20 m/s; the road is full."""
     found = []
     for lane, y in enumerate(LANE_Y):
         for number in range(40):
-            x = 20.0 + 2.0 * k - 80.0 * number + 25.0 * lane
+            x = 260.0 + 2.0 * k - 80.0 * number + 25.0 * lane
             if 20.0 < x < 280.0:
                 found.append((100 * lane + number + 1, x, y))
     return rows(found)

@@ -106,8 +106,11 @@ def test_times_and_sizes() -> None:
     ]
 
 
-def test_traffic_beside_the_tracks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_traffic_beside_the_tracks(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """What is exported is what the offline command computes from the same tracks and lanes."""
+    monkeypatch.setenv("COLUMNS", "160")
     path, frames = tmp_path / "t.db", day(SUMMER_ENDS_NS, 6, vehicles=3)
     text = dumps_lanes(LaneMap(SUMMER_ENDS_NS, tuple(LANES)), Datum(50.0, 8.0), camera_id="north")
     with TrafficDatabase(path) as database:
