@@ -79,8 +79,8 @@ def _show_traffic(series: tuple[SeriesContent, ...], vehicles: dict[str, int]) -
         clock = IntervalClock(name.length_s, name.zone)
         table.add_row(
             name.camera_id,
-            clock.text(found.start_ns),
-            clock.text(found.end_ns),
+            clock.text(found.start_ns)[:16].replace("T", " "),  # local time, to the minute
+            clock.text(found.end_ns)[:16].replace("T", " "),
             f"{name.length_s}",
             stored_scheme(name.scheme).name,
             f"{found.intervals}",
