@@ -540,19 +540,12 @@ def time_zone(given: str | None) -> str:
     Raises:
         ParameterError: No such zone.
     """
-    from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
+    from geoorbit_ros.traffic.interval_clock import checked_zone
 
-    if given is None:
-        link = os.environ.get("TZ") or str(Path("/etc/localtime").resolve())
-        name = link.lstrip(":").rpartition("zoneinfo/")[2]
-    else:
-        name = given
+    if given is not None:
+        return checked_zone(given, "option --timezone")
+    link = os.environ.get("TZ") or str(Path("/etc/localtime").resolve())
     try:
-        ZoneInfo(name)
-    except (ZoneInfoNotFoundError, ValueError, OSError):
-        if given is None:
-            return "UTC"
-        raise ParameterError(
-            "option --timezone", f"'{given}'", "a name such as Europe/Berlin"
-        ) from None
-    return name
+        return checked_zone(link.lstrip(":").rpartition("zoneinfo/")[2], "this machine")
+    except ParameterError:  # it names none, as small containers don't
+        return "UTC"

@@ -456,17 +456,7 @@ def clock_of(interval: str, timezone: str | None) -> IntervalClock:
 
 
 def _scheme(given: str) -> ClassScheme:
-    """A scheme by its name, or from a YAML file.
+    """See `named_scheme`."""
+    from geoorbit_ros.traffic.class_schemes import named_scheme
 
-    Raises:
-        GeoOrbitError: Neither.
-    """
-    from geoorbit_ros.storage.yaml_file import read_yaml
-    from geoorbit_ros.traffic.class_schemes import SCHEMES, SchemeFile, scheme_of
-
-    if given in SCHEMES:
-        return SCHEMES[given]
-    if not Path(given).is_file():
-        expected = f"{', '.join(SCHEMES)}, or a YAML file"
-        raise ParameterError("option --class-scheme", f"'{given}'", expected)
-    return scheme_of(read_yaml(Path(given), SchemeFile, "class scheme"), given)
+    return named_scheme(given, "option --class-scheme")

@@ -6,7 +6,6 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,11 +24,10 @@ from geoorbit_ros.nodes.support.qos import LATCHED, LATCHED_ALL
 from geoorbit_ros.nodes.support.table_stream import TableStream
 from geoorbit_ros.storage.database.traffic import TrafficDatabase
 from geoorbit_ros.storage.ownership import Ownership
-from geoorbit_ros.storage.yaml_file import read_yaml
-from geoorbit_ros.traffic.class_schemes import SCHEMES, ClassScheme, SchemeFile, scheme_of
+from geoorbit_ros.traffic.class_schemes import named_scheme
 from geoorbit_ros.traffic.counter import Counted
 from geoorbit_ros.traffic.follower import STEP_BATCHES, TrafficFollower
-from geoorbit_ros.traffic.interval_clock import NS, IntervalClock
+from geoorbit_ros.traffic.interval_clock import NS, IntervalClock, checked_zone
 from geoorbit_ros.traffic.live import Finished, LiveTraffic, MapShelf
 from geoorbit_ros.traffic.messages import intervals_json, point_table
 
@@ -74,9 +72,9 @@ class TrafficNode(GeoOrbitNode[TrafficParameters]):
         place = f"node '{self.get_fully_qualified_name()}', parameter"
         self._camera = p.camera_id or self.camera_id
         self._interval_clock = IntervalClock(
-            p.interval_s, time_zone(p.timezone, f"{place} 'timezone'")
+            p.interval_s, checked_zone(p.timezone, f"{place} 'timezone'")
         )
-        self._scheme = class_scheme(p.class_scheme, f"{place} 'class_scheme'")
+        self._scheme = named_scheme(p.class_scheme, f"{place} 'class_scheme'")
         self.intervals = self.vehicles = 0
         self._follower: TrafficFollower | None = None
         self._tables = {
@@ -191,32 +189,6 @@ class TrafficNode(GeoOrbitNode[TrafficParameters]):
         if finished:
             text = intervals_json(finished[-1], self._scheme, self._interval_clock, self._camera)
             self._json.publish(encode_string(text))
-
-
-def time_zone(name: str, place: str) -> str:
-    """The name, if there is such a time zone.
-
-    Raises:
-        ParameterError: There is none.
-    """
-    try:
-        ZoneInfo(name)
-    except (ZoneInfoNotFoundError, ValueError, OSError):
-        raise ParameterError(place, f"'{name}'", "a name such as Europe/Berlin") from None
-    return name
-
-
-def class_scheme(given: str, place: str) -> ClassScheme:
-    """A scheme by its name, or from a YAML file.
-
-    Raises:
-        GeoOrbitError: Neither.
-    """
-    if given in SCHEMES:
-        return SCHEMES[given]
-    if not Path(given).is_file():
-        raise ParameterError(place, f"'{given}'", f"{', '.join(SCHEMES)}, or a YAML file")
-    return scheme_of(read_yaml(Path(given), SchemeFile, "class scheme"), given)
 
 
 def main(args: Sequence[str] | None = None) -> int:

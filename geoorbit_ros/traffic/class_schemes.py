@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, StrictInt
 from geoorbit_ros.core.class_names import COCO_NAMES, class_text
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.core.tables import BUS, CAR, MOTORCYCLE, TRUCK, UNKNOWN_CLASS
+from geoorbit_ros.storage.yaml_file import read_yaml
 
 BICYCLE = 1
 """COCO's number."""
@@ -208,6 +210,23 @@ def scheme_of(content: SchemeFile, place: str) -> ClassScheme:
         found = ", ".join(content.heavy)
         raise ParameterError(f"{place}, heavy", found, f"categories of: {', '.join(names)}")
     return ClassScheme(place, (*names, UNKNOWN), rules, frozenset(content.heavy))
+
+
+def named_scheme(given: str, place: str) -> ClassScheme:
+    """A scheme by its name, or from a YAML file.
+
+    Args:
+        given: `coco`, `fhwa3`, `tls5+1`, or the path of a file.
+        place: Who names it, for errors.
+
+    Raises:
+        GeoOrbitError: Neither, or a file that is no scheme.
+    """
+    if given in SCHEMES:
+        return SCHEMES[given]
+    if not Path(given).is_file():
+        raise ParameterError(place, f"'{given}'", f"{', '.join(SCHEMES)}, or a YAML file")
+    return scheme_of(read_yaml(Path(given), SchemeFile, "class scheme"), given)
 
 
 def _class_id(place: str, given: str | int) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
-from zoneinfo import ZoneInfo
+from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,6 +99,19 @@ class IntervalClock:
         if stamp_ns < CLOCK_SINCE_NS:
             return f"{stamp_ns / NS:.10g}"
         return datetime.fromtimestamp(stamp_ns // NS, ZoneInfo(self.zone)).isoformat()
+
+
+def checked_zone(name: str, place: str) -> str:
+    """The IANA name, if there is such a time zone; `place` is who names it, for errors.
+
+    Raises:
+        ParameterError: There is none.
+    """
+    try:
+        ZoneInfo(name)
+    except (ZoneInfoNotFoundError, ValueError, OSError):
+        raise ParameterError(place, f"'{name}'", "a name such as Europe/Berlin") from None
+    return name
 
 
 def _stamp(wall: datetime) -> int:
