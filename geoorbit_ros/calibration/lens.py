@@ -118,6 +118,8 @@ class Lens:
 
     def distort(self, pixel: ArrayLike) -> Array:
         """Real pixels (..., 2) of ideal ones (..., 2); NaN beyond `radius`."""
+        if self.straight:
+            return np.array(pixel, dtype=np.float64)
         x, y = self._rays(np.asarray(pixel, dtype=np.float64))
         shown = np.stack(self._bent(x, y), axis=-1)
         shown[~(x * x + y * y <= self.radius**2)] = np.nan
@@ -128,6 +130,8 @@ class Lens:
 
         Newton's method; each pixel's result is the same in any company (`elementwise`).
         """
+        if self.straight:
+            return np.array(pixel, dtype=np.float64)
         u, v = self._rays(np.asarray(pixel, dtype=np.float64))
         with np.errstate(all="ignore"):
             x, y = u, v
@@ -157,6 +161,19 @@ class Lens:
         ratio = self.fx / self.fy
         rows = np.stack((a, b * ratio), axis=-1), np.stack((c / ratio, d), axis=-1)
         return np.stack(rows, axis=-2)
+
+    def distort_columns(self, pixel: Array) -> tuple[Array, Array]:
+        """`distort` and `slope` of (2, ...) ideal pixels, components first: (2, ...), (2, 2, ...).
+
+        As the many-vehicles code has them (`elementwise`).
+        """
+        rows = np.moveaxis(pixel, 0, -1)
+        slope = np.moveaxis(self.slope(rows), (-2, -1), (0, 1))
+        return np.moveaxis(self.distort(rows), -1, 0), slope
+
+    def undistort_columns(self, pixel: Array) -> Array:
+        """`undistort` of (2, ...) real pixels, components first."""
+        return np.moveaxis(self.undistort(np.moveaxis(pixel, 0, -1)), -1, 0)
 
     def slope_of_k1(self, pixel: ArrayLike) -> Array:
         """d(real) / d(k1) at ideal pixels (..., 2): (..., 2)."""

@@ -32,6 +32,8 @@ SIGNIFICANT = 10.83
 """By how much the squared errors must fall: chi-square, 1 degree of freedom, 99.9 %. Chosen: larger
 overlooks lenses, smaller sees them in noise."""
 GRID = (
+    -0.9,
+    -0.75,
     -0.6,
     -0.5,
     -0.4,

@@ -123,14 +123,8 @@ def fit_plane(
     if len(order) < MIN_POINTS:
         found = f"{len(order)} control points that the lens can show"
         raise CalibrationError(points.place, found, f"at least {MIN_POINTS}")
-    to_unit_ground, to_unit_pixel = normalising(points.local_m[order]), normalising(ideal[order])
-    sigma_px, sigma_m = _sigmas(points, pixel_sigma, ground_sigma_m)
-    cloud = _Cloud(
-        transfer(to_unit_ground, points.local_m[order]),
-        transfer(to_unit_pixel, ideal[order]),
-        (sigma_m[order] * to_unit_ground[0, 0]) ** 2,
-        (to_unit_pixel[0, 0] * sigma_px[order])[:, None, None] ** 2 * _stretch(lens, ideal[order]),
-    )
+    sigmas = _sigmas(points, pixel_sigma, ground_sigma_m)
+    cloud, to_unit_ground, to_unit_pixel = _normalised(points, ideal, order, lens, sigmas)
     start = best_subset(cloud.ground, cloud.pixel, cloud.variance, cloud.covariance)
     if not len(start):
         raise CalibrationError(
@@ -145,32 +139,63 @@ def fit_plane(
     whiten = _whitener(matrix, used)
     design = _design(matrix, used.ground, whiten)
     error = np.einsum("nij,nj->ni", whiten, used.pixel - transfer(matrix, used.ground)).ravel()
-
-    to_pixel = np.linalg.inv(to_unit_pixel) @ matrix @ to_unit_ground
-    to_ground = np.linalg.inv(to_pixel)
-    # d(G^-1) = -G^-1 dG G^-1
-    own = whiten * to_unit_pixel[0, 0]
-    every = design
-    if lens is not None and k1_fitted:
-        every = np.column_stack((design, k1_column(lens, ideal[order][inlier], own)))
-    unit_spread, k1_spread = _spread(every, error)
-    spread_pixel = np.linalg.inv(to_unit_pixel) @ unit_spread @ to_unit_ground
-    spread = -to_ground @ spread_pixel @ to_ground
-    depth = (ideal @ to_ground[2, :2] + to_ground[2, 2])[order][inlier]
-    to_ground, spread, depth = (a / depth.mean() for a in (to_ground, spread, depth))
-    _check_orientation(to_ground, depth, points)
-
-    taken = np.zeros(len(points), dtype=bool)
-    taken[order] = inlier
-    spread = _with_common_scale(to_ground, spread, points, taken)
-    k1_spread = np.append(k1_spread, np.zeros(len(spread) - len(k1_spread)))
-    residual = _residual(to_ground, lens, points, ideal, taken)
     square = np.minimum(cloud.square(matrix), OUTLIER_SQUARE)
     cost = float(square.sum()) + OUTLIER_SQUARE * (len(points) - len(cloud))
-    plane = Homography(
-        to_ground, spread, points, residual, lens=lens, k1_spread=k1_spread if k1_fitted else None
+
+    row, own = order[inlier], whiten * to_unit_pixel[0, 0]
+    every = design
+    if lens is not None and k1_fitted:
+        every = np.column_stack((design, k1_column(lens, ideal[row], own)))
+    unit_spread, k1_spread = _spread(every, error)
+    to_pixel = np.linalg.inv(to_unit_pixel) @ matrix @ to_unit_ground
+    spread_pixel = np.linalg.inv(to_unit_pixel) @ unit_spread @ to_unit_ground
+    plane = _on_ground(to_pixel, spread_pixel, k1_spread, points, ideal, row, lens)
+    return PlaneFit(plane, cost, design, error, own, row)
+
+
+def _normalised(
+    points: ControlPoints,
+    ideal: Matrix,
+    order: NDArray[np.intp],
+    lens: Lens | None,
+    sigmas: tuple[Matrix, Matrix],
+) -> tuple[_Cloud, Matrix, Matrix]:
+    """The points in an order, and the similarities that normalised ground and pixels."""
+    to_unit_ground, to_unit_pixel = normalising(points.local_m[order]), normalising(ideal[order])
+    sigma_px, sigma_m = sigmas
+    cloud = _Cloud(
+        transfer(to_unit_ground, points.local_m[order]),
+        transfer(to_unit_pixel, ideal[order]),
+        (sigma_m[order] * to_unit_ground[0, 0]) ** 2,
+        (sigma_px[order] * to_unit_pixel[0, 0])[:, None, None] ** 2 * _stretch(lens, ideal[order]),
     )
-    return PlaneFit(plane, cost, design, error, own, order[inlier])
+    return cloud, to_unit_ground, to_unit_pixel
+
+
+def _on_ground(
+    to_pixel: Matrix,
+    spread_pixel: Matrix,
+    k1_spread: Matrix,
+    points: ControlPoints,
+    ideal: Matrix,
+    row: NDArray[np.intp],
+    lens: Lens | None,
+) -> Homography:
+    """The plane from pixels to metres, of that from metres to pixels, its spread and used rows."""
+    to_ground = np.asarray(np.linalg.inv(to_pixel))
+    # d(G^-1) = -G^-1 dG G^-1
+    spread = -to_ground @ spread_pixel @ to_ground
+    depth = (ideal @ to_ground[2, :2] + to_ground[2, 2])[row]
+    to_ground, spread, depth = (a / depth.mean() for a in (to_ground, spread, depth))
+    _check_orientation(to_ground, depth, points)
+    used = np.zeros(len(points), dtype=bool)
+    used[row] = True
+    spread = _with_common_scale(to_ground, spread, points, used)
+    by_k1 = None
+    if k1_spread.any():
+        by_k1 = np.append(k1_spread, np.zeros(len(spread) - len(k1_spread)))
+    residual = _residual(to_ground, lens, points, ideal, used)
+    return Homography(to_ground, spread, points, residual, lens=lens, k1_spread=by_k1)
 
 
 def k1_column(lens: Lens, ideal: Matrix, whiten: Matrix) -> Matrix:

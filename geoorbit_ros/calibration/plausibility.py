@@ -72,7 +72,8 @@ def calibration_report(
         more = f" and {len(dropped) - NAMED_POINTS} more" if len(dropped) > NAMED_POINTS else ""
         text = f"they disagree with the others ({'; '.join(shown)}{more})"
         report.add(Treatment.LEFT_OUT, len(dropped), text)
-    if image_size is None:
+    report.remarks += homography.remarks
+    if image_size is None or points.facts.image_size is not None:
         return report
     size = np.array(image_size, dtype=np.float64)
     beyond = np.maximum(-points.pixel, points.pixel - size) / size
