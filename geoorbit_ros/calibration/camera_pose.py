@@ -63,7 +63,8 @@ def recover_pose(
 ) -> CameraPose:
     """Recover focal length and pose, assuming square pixels and a centred principal point.
 
-    Where the plane's lens says its principal point, and its focal length, these are taken instead.
+    Where the plane's lens says its principal point, and its focal length, these are taken instead,
+    unless the road doesn't fit them at all (`plausibility` says so).
     Otherwise, the images of the road's two axes are perpendicular and of equal length in space,
     which gives two linear equations for 1/f^2 (Zhang (2000), A Flexible New Technique for Camera
     Calibration, equations 3 and 4). Their least-squares solution does not depend on where east is.
@@ -81,7 +82,8 @@ def recover_pose(
     lens = homography.lens
     if lens is not None and lens.focal_known:
         pose, skew = _pose(homography, _camera_matrix(homography, image_size, lens.fx), 0.0)
-        return _checked(pose, skew, max_skew, image_size, place)
+        if skew <= max_skew:
+            return _checked(pose, skew, max_skew, image_size, place)
     axis = _camera_matrix(homography, image_size, 1.0)
     focal = _focal_length(homography.matrix, axis)
     if not np.isfinite(focal):
@@ -113,18 +115,11 @@ def _checked(
 ) -> CameraPose:
     """The pose, where it can be one."""
     if skew > max_skew:
-        known = pose.lens is not None and pose.lens.focal_known
-        doubt = (
-            f"with the given focal length of {pose.focal_px:.0f} px: is the lens this camera's, at "
-            "this zoom?"
-            if known
-            else f"are the images really {image_size[0]}x{image_size[1]}, of a camera without lens "
-            "distortion?"
-        )
         raise CalibrationError(
             place,
             f"a road whose axes are distorted by {100 * skew:.0f} %",
-            f"at most {100 * max_skew:.0f} %: {doubt}",
+            f"at most {100 * max_skew:.0f} %: are the images really {image_size[0]}x"
+            f"{image_size[1]}, of a camera without lens distortion?",
         )
     if not HEIGHT_M[0] <= pose.position_m[2] <= HEIGHT_M[1]:
         raise CalibrationError(

@@ -5,12 +5,13 @@ A file is refused only when too few points are left, or when it isn't clear wher
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.calibration.camera_facts import CameraFacts, read_facts, same_view
+from geoorbit_ros.calibration.camera_facts import read_facts, same_view
 from geoorbit_ros.calibration.control_point_table import EXPECTED, PointTable, read_point_table
 from geoorbit_ros.calibration.control_points import MAX_EXTENT_M, ControlPoints, check_points
 from geoorbit_ros.calibration.datum import Datum
@@ -67,7 +68,6 @@ def read_control_points(
     table.keep(known, "a value that is missing or no number")
     facts = read_facts(table.comments, place, image_size)
     _repair_pixels(table, facts.image_size or image_size)
-    facts = _of_images(table, facts, image_size)
     position = _positions(table, datum)
     if position is None:
         local_m = table.values[:, 2:]
@@ -85,14 +85,15 @@ def read_control_points(
     once = np.isin(np.arange(len(local_m)), first)
     table.keep(once, "the same point as in an earlier line")
     _note_contradictions(table)
-    if strict:
-        table.report.check(strict, EXPECTED)
     pixel, local_m = table.values[:, :2], local_m[once]
     sigmas = table.sigma.T if np.isfinite(table.sigma).any() else (None, None)
-    size = image_size or facts.image_size
     points = ControlPoints(
-        pixel, local_m, datum, table.line, place, table.report, facts, size, *sigmas
+        pixel, local_m, datum, table.line, place, table.report, facts, facts.image_size, *sigmas
     )
+    if image_size is not None:
+        points = of_images(points, image_size)
+    if strict:
+        points.report.check(strict, EXPECTED)
     check_points(points)
     return points
 
@@ -116,30 +117,33 @@ def _repair_pixels(table: PointTable, image_size: tuple[int, int] | None) -> Non
         pixel *= image_size
 
 
-def _of_images(
-    table: PointTable, facts: CameraFacts, image_size: tuple[int, int] | None
-) -> CameraFacts:
-    """Points and facts in pixels of images of a size; told where that isn't the file's.
+def of_images(points: ControlPoints, image_size: tuple[int, int]) -> ControlPoints:
+    """Points and facts in pixels of images of a size; told where that isn't the points' own.
 
     Raises:
         CalibrationError: Images of the two sizes can't show the same view.
     """
-    said = facts.image_size
-    if said is None or image_size is None or said == image_size:
-        return facts
+    said = points.image_size
+    if said is None or said == image_size:
+        return points if said else replace(points, image_size=image_size)
     of, to = (f"{size[0]}x{size[1]}" for size in (said, image_size))
     if not same_view(said, image_size):
         raise CalibrationError(
-            table.report.place,
+            points.place,
             f"control points of a {of} image, as a comment says",
             f"those of the camera's images, which are {to}: not the same view in another size",
         )
     text = f"the control points are of a {of} image; they are scaled to {to}"
-    table.report.note(Treatment.REPAIRED, text)
+    points.report.note(Treatment.REPAIRED, text)
     scale = np.divide(image_size, said)
-    table.values[:, :2] *= scale
-    table.sigma[:, 0] *= np.sqrt(scale.prod())
-    return facts.scaled(image_size)
+    sigma = None if points.sigma_px is None else points.sigma_px * np.sqrt(scale.prod())
+    return replace(
+        points,
+        pixel=points.pixel * scale,
+        sigma_px=sigma,
+        facts=points.facts.scaled(image_size),
+        image_size=image_size,
+    )
 
 
 def _positions(table: PointTable, datum: Datum | None) -> Array | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from geoorbit_ros.calibration.control_point_file import of_images
 from geoorbit_ros.calibration.control_points import ControlPoints, check_points
 from geoorbit_ros.calibration.lens_from_points import find_lens, shows_lens
 from geoorbit_ros.calibration.plane import ControlResidual, Homography
@@ -12,6 +13,21 @@ from geoorbit_ros.core.errors import CalibrationError
 from geoorbit_ros.core.input_report import Remark, Treatment
 
 __all__ = ["ControlResidual", "Homography", "fit_homography"]
+
+
+def plane_of_images(plane: Homography, image_size: tuple[int, int]) -> Homography:
+    """The road plane in pixels of the camera's images, once these are seen.
+
+    Fitted anew where the control points are of images of another size, or where nobody has said
+    their size yet.
+
+    Raises:
+        CalibrationError: As `of_images` and `fit_homography`.
+    """
+    points = plane.points
+    if points.image_size == image_size:
+        return plane
+    return fit_homography(of_images(points, image_size))
 
 
 def fit_homography(

@@ -9,6 +9,7 @@ import typer
 
 from geoorbit_ros.cli.inputs import (
     CalibrationOption,
+    CameraInfoOption,
     DatumOption,
     ModelOption,
     PasswordFileOption,
@@ -43,6 +44,7 @@ def add(
         float, typer.Option("--duration", min=1.0, metavar="SECONDS", help="How long to watch.")
     ] = 60.0,
     datum: DatumOption = None,
+    camera_info: CameraInfoOption = None,
     password_file: PasswordFileOption = None,
     replace: Annotated[
         bool, typer.Option("--replace", help="Put it in the place of the camera with this id.")
@@ -57,19 +59,21 @@ def add(
     Example: [bold]geoorbit camera add north.mp4 --calibration north.csv --camera-id north
     --fleet fleet.yaml --out north_check[/bold]
     """
+    from geoorbit_ros.calibration.homography import plane_of_images
     from geoorbit_ros.cli.camera_run import REPORT, CameraJob
     from geoorbit_ros.cli.console import as_typed, console, print_lanes, print_remarks, say
     from geoorbit_ros.cli.images import ImageOptions, first_image
     from geoorbit_ros.cli.resume import prepared_run
     from geoorbit_ros.detection.detector import DetectorSettings
-    from geoorbit_ros.fleet.fleet_io import add_camera, check_new_camera
+    from geoorbit_ros.fleet.fleet_io import add_camera, check_new_camera, relative
     from geoorbit_ros.scenes.output import check_new_folder
     from geoorbit_ros.storage.atomic import atomic_output
     from geoorbit_ros.storage.frames.source import LeftOut
 
     check_new_folder(out, overwrite=replace)
     check_new_camera(fleet, camera_id, replace=replace)
-    plane = load_calibration(calibration, datum or _known_datum(fleet, camera_id), strict=strict)
+    origin = datum or _known_datum(fleet, camera_id)
+    plane = load_calibration(calibration, origin, strict=strict, camera_info=camera_info)
     watched = ImageOptions(None, duration, "", LeftOut(), password_file)
     with (
         prepared_run(source, out, watched, model, DetectorSettings(), resume=None) as (images, run),
@@ -77,10 +81,14 @@ def add(
     ):
         job = CameraJob(camera_id, calibration, *plane, run)
         folder.mkdir()
-        _show_calibration(plane[0], first_image(images), folder / CALIBRATION_IMAGE)
+        seen = first_image(images)
+        shown = plane_of_images(plane[0], (seen.shape[1], seen.shape[0]))
+        _show_calibration(shown, seen, folder / CALIBRATION_IMAGE)
         job.find_lanes(images, duration)
         job.write(folder, images)
         entry = _entry(job, source, password_file, model, fleet)
+        if camera_info is not None:
+            entry["camera_info"] = relative(camera_info, fleet)
         add_camera(fleet, entry, replace=replace)
     print_remarks(images.remarks)
     print_lanes(job.lane_map, f"Lanes of {camera_id}")

@@ -11,6 +11,7 @@ import typer
 from geoorbit_ros.cli.inputs import (
     DEFAULT_ESTIMATOR,
     CalibrationOption,
+    CameraInfoOption,
     ClassNamesOption,
     DatumOption,
     DurationOption,
@@ -55,6 +56,7 @@ def process(
     ] = None,
     estimator: EstimatorOption = DEFAULT_ESTIMATOR,
     datum: DatumOption = None,
+    camera_info: CameraInfoOption = None,
     update_period_s: UpdatePeriodOption = 5.0,
     start_time: StartTimeOption = None,
     password_file: PasswordFileOption = None,
@@ -81,7 +83,9 @@ def process(
 
     again = resume or force
     check_new_folder(out, overwrite=again)
-    homography, origin = load_calibration(calibration, datum, strict=strict)
+    homography, origin = load_calibration(
+        calibration, datum, strict=strict, camera_info=camera_info
+    )
     settings = DetectorSettings(min_score, class_names=parse_names(class_names))
     left_out = None if strict else LeftOut()
     options = ImageOptions(fps, duration, start_time, left_out, password_file, max_fps)

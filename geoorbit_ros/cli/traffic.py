@@ -13,6 +13,7 @@ from geoorbit_ros.cli.inputs import (
     DEFAULT_ESTIMATOR,
     BagOption,
     CameraIdOption,
+    CameraInfoOption,
     ClassesOption,
     ColumnsOption,
     DatumOption,
@@ -102,6 +103,7 @@ def traffic(
     estimator: EstimatorOption = DEFAULT_ESTIMATOR,
     image_size: ImageSizeOption = None,
     datum: DatumOption = None,
+    camera_info: CameraInfoOption = None,
     image: RoadImageOption = None,
     update_period_s: UpdatePeriodOption = 5.0,
     fps: TrackFpsOption = None,
@@ -135,7 +137,7 @@ def traffic(
             raise ParameterError("option --calibration", "nothing", "a file of control points")
         options = read_options(fps, columns, classes, strict)
         camera = load_camera(
-            tracks, bag, calibration, camera_id, image_size, datum, out, options, image
+            tracks, bag, calibration, camera_id, image_size, datum, out, options, image, camera_info
         )
         source = _of_camera(camera, lanes, estimator, update_period_s, image)
     with atomic_output(out, overwrite=force) as folder:
