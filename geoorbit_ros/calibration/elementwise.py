@@ -55,7 +55,7 @@ def inverse_2x2(matrix: Array) -> Array:
 
 def through(slope: Array, inner: Array) -> Array:
     """Products (2, k, M) of slopes (2, 2, M) with inner ones (2, k, M): the chain rule."""
-    return slope[:, :1] * inner[0] + slope[:, 1:] * inner[1]
+    return np.asarray(slope[:, :1] * inner[0] + slope[:, 1:] * inner[1])
 
 
 def worst_sigma(covariance: Array) -> Array:

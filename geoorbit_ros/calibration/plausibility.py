@@ -73,8 +73,9 @@ def calibration_report(
         text = f"they disagree with the others ({'; '.join(shown)}{more})"
         report.add(Treatment.LEFT_OUT, len(dropped), text)
     report.remarks += homography.remarks
-    if (size := image_size or points.image_size) is not None:
-        report.remarks += _focal_doubts(homography, size)
+    known_size = image_size or points.image_size
+    if known_size is not None:
+        report.remarks += _focal_doubts(homography, known_size)
     if image_size is None or points.facts.image_size is not None:
         return report
     size = np.array(image_size, dtype=np.float64)

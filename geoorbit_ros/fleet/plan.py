@@ -189,7 +189,7 @@ def camera_nodes(
         folder = output / fleet.recorder.folder
         wiring["recorder"] = {"database": str(folder / f"{camera.id}.db")}
     if fleet.traffic and fleet.traffic.enabled:
-        wiring["traffic"] = {"timezone": camera.timezone} | seen
+        wiring["traffic"] = seen | {"timezone": camera.timezone}
         wiring["traffic"] |= wiring.get("recorder", {}) | fleet.traffic.parameters
     state = output / "state" / camera.id
     wiring["lane_geometry"] = {"state_file": str(state / "lanes.npz")}

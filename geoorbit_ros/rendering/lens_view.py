@@ -41,7 +41,8 @@ class LensView:
 
     def show(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """The image (H, W, 3) through the lens, of the pinhole's."""
-        bent = cv2.remap(image, *self._maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        at, between = self._maps
+        bent = cv2.remap(image, at, between, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return np.asarray(bent, dtype=np.uint8)
 
     def outlines(self, seen: Outlines) -> Outlines:
