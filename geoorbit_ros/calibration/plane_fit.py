@@ -125,16 +125,7 @@ def fit_plane(
         raise CalibrationError(points.place, found, f"at least {MIN_POINTS}")
     sigmas = _sigmas(points, pixel_sigma, ground_sigma_m)
     cloud, to_unit_ground, to_unit_pixel = _normalised(points, ideal, order, lens, sigmas)
-    start = best_subset(cloud.ground, cloud.pixel, cloud.variance, cloud.covariance)
-    if not len(start):
-        raise CalibrationError(
-            points.place,
-            "no four points of which three aren't on one line",
-            "points spread over the road in both directions",
-        )
-    inlier = np.zeros(len(cloud), dtype=bool)
-    inlier[start] = True
-    matrix, inlier = _refine(cloud, inlier, points)
+    matrix, inlier = _refine(cloud, _agreeing(cloud, points), points)
     used = cloud.take(inlier)
     whiten = _whitener(matrix, used)
     design = _design(matrix, used.ground, whiten)
@@ -151,6 +142,20 @@ def fit_plane(
     spread_pixel = np.linalg.inv(to_unit_pixel) @ unit_spread @ to_unit_ground
     plane = _on_ground(to_pixel, spread_pixel, k1_spread, points, ideal, row, lens)
     return PlaneFit(plane, cost, design, error, own, row)
+
+
+def _agreeing(cloud: _Cloud, points: ControlPoints) -> NDArray[np.bool_]:
+    """(N,) points that agree best on one plane."""
+    start = best_subset(cloud.ground, cloud.pixel, cloud.variance, cloud.covariance)
+    if not len(start):
+        raise CalibrationError(
+            points.place,
+            "no four points of which three aren't on one line",
+            "points spread over the road in both directions",
+        )
+    agreeing = np.zeros(len(cloud), dtype=bool)
+    agreeing[start] = True
+    return agreeing
 
 
 def _normalised(

@@ -197,8 +197,7 @@ def fit_vehicles(
 
     A vehicle of unknown heading is taken for an upright stick, of which only the middle counts.
 
-    Behind a lens, the box that is compared is the one round the corners as the lens shows them:
-    pixels, and their errors, are those of the real image.
+    Behind a lens, the box round the corners is as the lens shows them: pixels are real ones.
 
     Args:
         projection: (3, 4) local metres to pixels.

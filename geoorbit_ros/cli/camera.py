@@ -59,21 +59,20 @@ def add(
     Example: [bold]geoorbit camera add north.mp4 --calibration north.csv --camera-id north
     --fleet fleet.yaml --out north_check[/bold]
     """
-    from geoorbit_ros.calibration.homography import plane_of_images
     from geoorbit_ros.cli.camera_run import REPORT, CameraJob
     from geoorbit_ros.cli.console import as_typed, console, print_lanes, print_remarks, say
     from geoorbit_ros.cli.images import ImageOptions, first_image
     from geoorbit_ros.cli.resume import prepared_run
     from geoorbit_ros.detection.detector import DetectorSettings
-    from geoorbit_ros.fleet.fleet_io import add_camera, check_new_camera, relative
+    from geoorbit_ros.fleet.fleet_io import add_camera, check_new_camera
     from geoorbit_ros.scenes.output import check_new_folder
     from geoorbit_ros.storage.atomic import atomic_output
     from geoorbit_ros.storage.frames.source import LeftOut
 
     check_new_folder(out, overwrite=replace)
     check_new_camera(fleet, camera_id, replace=replace)
-    origin = datum or _known_datum(fleet, camera_id)
-    plane = load_calibration(calibration, origin, strict=strict, camera_info=camera_info)
+    datum = datum or _known_datum(fleet, camera_id)
+    plane = load_calibration(calibration, datum, strict=strict, camera_info=camera_info)
     watched = ImageOptions(None, duration, "", LeftOut(), password_file)
     with (
         prepared_run(source, out, watched, model, DetectorSettings(), resume=None) as (images, run),
@@ -81,14 +80,10 @@ def add(
     ):
         job = CameraJob(camera_id, calibration, *plane, run)
         folder.mkdir()
-        seen = first_image(images)
-        shown = plane_of_images(plane[0], (seen.shape[1], seen.shape[0]))
-        _show_calibration(shown, seen, folder / CALIBRATION_IMAGE)
+        _show_calibration(plane[0], first_image(images), folder / CALIBRATION_IMAGE)
         job.find_lanes(images, duration)
         job.write(folder, images)
-        entry = _entry(job, source, password_file, model, fleet)
-        if camera_info is not None:
-            entry["camera_info"] = relative(camera_info, fleet)
+        entry = _entry(job, source, password_file, model, fleet, camera_info)
         add_camera(fleet, entry, replace=replace)
     print_remarks(images.remarks)
     print_lanes(job.lane_map, f"Lanes of {camera_id}")
@@ -123,7 +118,12 @@ def _known_datum(fleet: Path, camera_id: str) -> str | None:
 
 
 def _entry(
-    job: CameraJob, source: str, password_file: Path | None, model: Path | None, fleet: Path
+    job: CameraJob,
+    source: str,
+    password_file: Path | None,
+    model: Path | None,
+    fleet: Path,
+    camera_info: Path | None,
 ) -> dict[str, object]:
     """The camera as the fleet file names it."""
     from geoorbit_ros.core.addresses import masked
@@ -139,8 +139,9 @@ def _entry(
             "longitude_deg": job.datum.longitude_deg,
         },
     }
-    if model is not None:
-        entry["model"] = relative(model, fleet)
+    for key, file in (("model", model), ("camera_info", camera_info)):
+        if file is not None:
+            entry[key] = relative(file, fleet)
     return entry | _password(source, password_file, job, fleet)
 
 
@@ -161,10 +162,12 @@ def _password(
 
 def _show_calibration(homography: Homography, image: NDArray[np.uint8], out: Path) -> None:
     """Draw the control points into an image file, and print their errors."""
+    from geoorbit_ros.calibration.homography import plane_of_images
     from geoorbit_ros.cli.console import console, make_table, say
     from geoorbit_ros.report.calibration_image import REACH_M, draw_calibration, reach
     from geoorbit_ros.report.image_overlay import write_image
 
+    homography = plane_of_images(homography, (image.shape[1], image.shape[0]))
     write_image(out, draw_calibration(image, homography))
     table = make_table("Control points", ">point|>pixel x|>pixel y|>error px|>error m|used")
     residual = homography.residual

@@ -78,9 +78,8 @@ def replay(
     from geoorbit_ros.nodes.support.bag_replay import ReplayRequest
 
     options = read_options(None, None, "coco", strict)
-    camera = load_camera(
-        None, bag, calibration, camera_id, image_size, datum, out, options, image, camera_info
-    )
+    named = (camera_id, image_size, datum, out, options, image, camera_info)
+    camera = load_camera(None, bag, calibration, *named)
     datum_deg = (camera.datum.latitude_deg, camera.datum.longitude_deg)
     size, quiet = camera.image_size, not verbose
     request = ReplayRequest(

@@ -83,9 +83,8 @@ def report(
     from geoorbit_ros.report.text import summary_sentence
 
     options = read_options(fps, columns, classes, strict)
-    camera = load_camera(
-        tracks, bag, calibration, camera_id, image_size, datum, out, options, image, camera_info
-    )
+    named = (camera_id, image_size, datum, out, options, image, camera_info)
+    camera = load_camera(tracks, bag, calibration, *named)
     true = read_lanes_aloud(truth, camera.datum).lane_map.lanes if truth else None
     recording = Recording()
     ground = recording.tee(camera.ground_tracks())

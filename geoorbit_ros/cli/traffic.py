@@ -136,9 +136,8 @@ def traffic(
         if calibration is None:
             raise ParameterError("option --calibration", "nothing", "a file of control points")
         options = read_options(fps, columns, classes, strict)
-        camera = load_camera(
-            tracks, bag, calibration, camera_id, image_size, datum, out, options, image, camera_info
-        )
+        named = (camera_id, image_size, datum, out, options, image, camera_info)
+        camera = load_camera(tracks, bag, calibration, *named)
         source = _of_camera(camera, lanes, estimator, update_period_s, image)
     with atomic_output(out, overwrite=force) as folder:
         folder.mkdir()
