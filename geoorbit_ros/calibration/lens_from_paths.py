@@ -95,7 +95,10 @@ def estimate_lens_from_paths(
         return LensEstimate(None, np.nan, np.inf, text)
     spread = max(abs(fit.k1 - best.k1) for fit in fits)
     k1, sigma = best.k1, float(np.linalg.norm([best.sigma, spread, MODEL_SIGMA]))
-    if not sigma <= TELLING or best.at_bound:
+    if best.at_bound:
+        text = f"{NO_LENS}: they fit no common road behind any"
+        return LensEstimate(None, k1, max(sigma, TELLING), text)
+    if not sigma <= TELLING:
         text = f"{NO_LENS}: k1 is known to ± {sigma:.2g} only, in units of the image's width"
         return LensEstimate(None, k1, sigma, text)
     said = f"k1 = {k1:.3f} ± {sigma:.3f} in units of the image's width"
