@@ -4,7 +4,8 @@ In the image of a pinhole, a path on a flat road is `u = m w + g(w)`: w is the d
 horizon, in pixels, m says how far to the side of the camera the vehicle drives, and g, common to
 all who follow the road, how it bends: `c + q/w` for a bend of one radius, `c` alone for a straight
 road. A lens bends paths left and right of its axis in opposite ways, which no road does. So a bend
-is not taken for a lens: where the paths can't tell one from the other, the error of k1 is large.
+is not taken for a lens: where the paths can't tell one from the other, the error of k1 is large. A
+crest or sag is not modelled, and may be taken for a weak lens.
 """
 
 from __future__ import annotations
