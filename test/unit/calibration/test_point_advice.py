@@ -108,7 +108,8 @@ def added(points: ControlPoints, plane: Homography, pixel: np.ndarray) -> Contro
 
 
 def test_points_that_show_no_road_are_told() -> None:
-    points = measured(0)
+    camera = Camera((0.0, 0.0, 10.0), 40.0, 20.0, 900.0)
+    points = camera.control_points()
     far = replace(points, local_m=points.local_m * 34.0)
     with pytest.raises(CalibrationError, match="no road near the camera"):
-        advise(fit_homography(far, ground_sigma_m=5.0), SIZE)
+        advise(fit_homography(far), SIZE)
