@@ -107,9 +107,7 @@ def added(points: ControlPoints, plane: Homography, pixel: np.ndarray) -> Contro
     )
 
 
-def test_points_that_show_no_road_are_told() -> None:
-    camera = Camera((0.0, 0.0, 10.0), 40.0, 20.0, 900.0)
-    points = camera.control_points()
-    far = replace(points, local_m=points.local_m * 34.0)
+def test_a_place_above_the_horizon_is_no_road() -> None:
+    plane = fit_homography(measured(0))
     with pytest.raises(CalibrationError, match="no road near the camera"):
-        advise(fit_homography(far), SIZE)
+        advise(plane, SIZE, where=np.array([[960.0, -400.0]]))
