@@ -12,7 +12,7 @@ from geoorbit_ros.core.errors import NoTrafficError
 from geoorbit_ros.core.tables import Frames
 from geoorbit_ros.traffic.class_schemes import ClassScheme
 from geoorbit_ros.traffic.counter import Counted, TrafficCounter
-from geoorbit_ros.traffic.event_records import EVENT_DTYPE, EventState
+from geoorbit_ros.traffic.event_records import EVENT_DTYPE, EventState, newest_rows
 from geoorbit_ros.traffic.events import EventWatch
 from geoorbit_ros.traffic.interval_clock import IntervalClock, ObservedTime
 from geoorbit_ros.traffic.measures import Traffic, measure, measured_lanes
@@ -96,11 +96,10 @@ class Recorded:
         What has not ended goes on until the last frame.
         """
         rows = np.concatenate([np.empty(0, EVENT_DTYPE), *self._events])
-        newest = {int(event): k for k, event in enumerate(rows["event_id"].tolist())}
-        rows = rows[sorted(newest.values())]
+        rows = newest_rows(rows)
         going_on = rows["state"] != EventState.ENDED
         rows["last_ns"][going_on] = self.last_ns
-        return np.asarray(rows[np.argsort(rows["first_ns"], kind="stable")])
+        return rows
 
     def traffic(self, scheme: ClassScheme) -> Traffic:
         """What measures are made of."""

@@ -24,15 +24,8 @@ from numpy.typing import NDArray
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.tables import TRACK_DTYPE, Frames
 from geoorbit_ros.traffic.interval_clock import IntervalClock
-from geoorbit_ros.traffic.live import (
-    LEAD_NS,
-    Finished,
-    LiveTraffic,
-    Resume,
-    StampedLanes,
-    last_seen,
-    same_lanes,
-)
+from geoorbit_ros.traffic.lane_maps import StampedLanes, same_lanes
+from geoorbit_ros.traffic.live import LEAD_NS, Finished, LiveTraffic, Resume, last_seen
 from geoorbit_ros.traffic.packed import (
     pack_measures,
     pack_passages,
