@@ -218,12 +218,12 @@ def film_outcome(folder: Path, seed: int, name: str) -> Outcome:
     if not (found / "tracks.csv").exists():
         _run("process", str(film / "video.mp4"), "--calibration", str(points), "--out", str(found))
     run = simulate(load_scene(name), FILM_S, seed)
-    datum = f"{run.datum.latitude_deg},{run.datum.longitude_deg}"
-    camera = load_camera(
-        found / "tracks.csv", None, points, name, FILM_SIZE, datum, film / "none.geojson"
-    )
+    datum, road = f"{run.datum.latitude_deg},{run.datum.longitude_deg}", str(found / "road.png")
+    options = (None, datum, film / "none.geojson", None, road)
+    camera = load_camera(found / "tracks.csv", None, points, name, *options)
     blocks = list(camera.ground_tracks())
     lane_map = camera.find_lanes(iter(blocks), make_mapper("curvilinear", 5.0))
+    lane_map, _ = camera.follow_paint(lane_map, road)
     return outcome_of(name, run, camera.homography, blocks, lane_map)
 
 
