@@ -384,7 +384,8 @@ def show(outcomes: Sequence[Outcome], console: Console) -> None:
         f"{means[2]:.2f} at 95 %, {100 * means[3]:.0f} % within 1 sigma; "
         f"p85 of {len(p85)} lanes {np.abs(p85).mean():.2f} km/h in the mean ({p85.mean():+.2f} "
         f"with its sign), {100 * (np.abs(p85) <= 1.0).mean():.0f} % within 1 km/h, the worst lane "
-        f"of a scene {np.mean(worst):.2f}; headways {headway:.3f} s; movements {100 * moved:.1f} % right"
+        f"of a scene {np.mean(worst):.2f}; headways {headway:.3f} s; "
+        f"movements {100 * moved:.1f} % right"
     )
 
 
