@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,8 +10,13 @@ import numpy as np
 from geoorbit_ros.calibration.plane import RoadPlane
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.polylines import project
-from geoorbit_ros.traffic.measures import MeasuredLanes
+from geoorbit_ros.core.tables import Frames
+from geoorbit_ros.traffic.interval_clock import IntervalClock
+from geoorbit_ros.traffic.stations import MeasuredLanes
 
+MAP_DELAY_NS = 10_000_000_000
+"""How much later than an interval's beginning its lane map is chosen. Chosen: vehicles that were
+last seen before that moment are then gone (`track_links.ENDED_NS`), and maps have arrived."""
 KEPT_MAPS = 100
 """Maps of a topic that are kept. Chosen: eight minutes of updates every five seconds; the one that
 is chosen is at most seconds old."""
@@ -79,6 +84,71 @@ class MapInUse:
     map_ns: int
     lanes: tuple[Lane, ...]
     order: MeasuredLanes
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """A lane map that counts from an interval on.
+
+    Attributes:
+        from_ns: Begin of the interval.
+        next_ns: The first frame that is counted on it.
+        found: The map.
+    """
+
+    from_ns: int
+    next_ns: int
+    found: StampedLanes
+
+
+class MapChoice:
+    """Chooses the lane map of each interval: the newest one made before it began.
+
+    One that has the same lanes as the map in use is not taken (`SAME_M`). The choice depends on
+    stamps alone.
+
+    Args:
+        clock: Intervals.
+        lanes_at: Gives lane maps.
+    """
+
+    def __init__(self, clock: IntervalClock, lanes_at: LanesAt) -> None:
+        self._clock, self._lanes_at = clock, lanes_at
+        self._used: StampedLanes | None = None
+        self._switch_ns = 0
+
+    def start(self, begin_ns: int) -> StampedLanes | None:
+        """The map of the first interval, by its begin; None: there is none yet."""
+        self._used = self._lanes_at(begin_ns)
+        self._switch_ns = self._clock.end_of(begin_ns) + MAP_DELAY_NS
+        return self._used
+
+    def parts(self, frames: Frames) -> Iterator[tuple[Frames, Chosen | None]]:
+        """Pieces of frames, and after each the map that counts from there on, if it changes.
+
+        Ask for the next piece when this one was counted.
+        """
+        while True:
+            # What is before the moment of choice is counted on the map in use.
+            k = int(np.searchsorted(frames.stamp_ns, self._switch_ns, side="right"))
+            if k == len(frames):
+                yield frames, None
+                return
+            yield frames.part(0, k), self._choose(int(frames.stamp_ns[k]))
+            frames = frames.part(k, len(frames))
+
+    def _choose(self, next_ns: int) -> Chosen | None:
+        """The map of the interval that began `MAP_DELAY_NS` before the next frame."""
+        assert self._used is not None
+        begin_ns = self._clock.start_of(next_ns - MAP_DELAY_NS - 1)
+        self._switch_ns = self._clock.end_of(begin_ns) + MAP_DELAY_NS
+        found = self._lanes_at(begin_ns)
+        if found is None or found.stamp_ns > begin_ns or found.stamp_ns == self._used.stamp_ns:
+            return None
+        if same_lanes(found.lanes, self._used.lanes):
+            return None
+        self._used = found
+        return Chosen(begin_ns, next_ns, found)
 
 
 def same_lanes(lanes: Sequence[Lane], others: Sequence[Lane]) -> bool:

@@ -19,15 +19,19 @@ from geoorbit_ros.traffic.counter import Counted, TrafficCounter
 from geoorbit_ros.traffic.event_records import EVENT_DTYPE, EventLog
 from geoorbit_ros.traffic.events import EventWatch
 from geoorbit_ros.traffic.interval_clock import GAP_S, NS, IntervalClock, ObservedTime
-from geoorbit_ros.traffic.lane_maps import LanesAt, MapInUse, StampedLanes, same_lanes
-from geoorbit_ros.traffic.measures import LONGEST_HEADWAY_S, Traffic, measure, measured_lanes
+from geoorbit_ros.traffic.lane_maps import (
+    MAP_DELAY_NS,
+    Chosen,
+    LanesAt,
+    MapChoice,
+    MapInUse,
+    StampedLanes,
+)
+from geoorbit_ros.traffic.measures import LONGEST_HEADWAY_S, Traffic, measure
 from geoorbit_ros.traffic.movements import count_movements, find_gates
-from geoorbit_ros.traffic.records import CROSSING_DTYPE, PASSAGE_DTYPE
-from geoorbit_ros.traffic.stations import REACH_S
+from geoorbit_ros.traffic.records import CROSSING_DTYPE, PASSAGE_DTYPE, last_seen
+from geoorbit_ros.traffic.stations import REACH_S, measured_lanes
 
-MAP_DELAY_NS = 10_000_000_000
-"""How much later than an interval's beginning its lane map is chosen. Chosen: vehicles that were
-last seen before that moment are then gone (`track_links.ENDED_NS`), and maps have arrived."""
 LOOK_NS = 5_000_000_000
 """Vehicles that are gone are looked for this often. Chosen: it takes milliseconds and changes no
 result; longer tells vehicles later."""
@@ -125,14 +129,14 @@ class LiveTraffic:
         watched: Watched | None = None,
     ) -> None:
         self.scheme, self.clock = scheme, clock
-        self._lanes_at, self._resume = lanes_at, resume
+        self._choice, self._resume = MapChoice(clock, lanes_at), resume
         self._observed = ObservedTime(max_gap_s)
         self._counter: TrafficCounter | None = None
         self._maps: list[MapInUse] = []
         self._passages = np.empty(0, PASSAGE_DTYPE)
         self._crossings = np.empty(0, CROSSING_DTYPE)
         self._gone, self._held = list[Counted](), list[Frames]()
-        self._begin_ns = self._switch_ns = self._looked_ns = 0
+        self._begin_ns = self._looked_ns = 0
         self._watched = watched or Watched(np.iinfo(np.int64).min, None, EventLog())
         self.watch = self._watched.watch
         self.newest_ns: int | None = None
@@ -158,15 +162,11 @@ class LiveTraffic:
             self._held = [part for part in self._held if part.stamp_ns[-1] >= held_ns]
             self.start()
             return
-        while True:
-            # What is before the moment of choice is counted on the map in use.
-            k = int(np.searchsorted(frames.stamp_ns, self._switch_ns, side="right"))
-            if k:
-                self._feed(frames.part(0, k))
-            if k == len(frames):
-                break
-            self._choose_map(int(frames.stamp_ns[k]))
-            frames = frames.part(k, len(frames))
+        for part, chosen in self._choice.parts(frames):
+            if len(part):
+                self._feed(part)
+            if chosen is not None:
+                self._change_map(chosen)
 
     def start(self) -> None:
         """Count the frames that wait, if there is a map by now."""
@@ -211,7 +211,7 @@ class LiveTraffic:
         begin_ns = self.clock.start_of(first_ns)
         if self._resume is not None:
             begin_ns = min(begin_ns, self._resume.from_ns)
-        found = self._lanes_at(begin_ns)
+        found = self._choice.start(begin_ns)
         if found is None:
             return False
         self._counter = TrafficCounter(found.lanes, found.plane)
@@ -219,7 +219,6 @@ class LiveTraffic:
             self._counter.vehicles = self._resume.vehicles
         self._use(found, begin_ns)
         self._begin_ns, self._looked_ns = begin_ns, first_ns
-        self._switch_ns = self.clock.end_of(begin_ns) + MAP_DELAY_NS
         return True
 
     def _use(self, found: StampedLanes, from_ns: int) -> None:
@@ -238,21 +237,15 @@ class LiveTraffic:
                 self.watch = EventWatch(self._maps[-1].lanes, self._watched.log)
             self.watch.add(frames.part(k, len(frames)))
 
-    def _choose_map(self, next_ns: int) -> None:
-        """Choose the map of the interval that began `MAP_DELAY_NS` before the next frame."""
+    def _change_map(self, chosen: Chosen) -> None:
+        """Count on another map from now on."""
         assert self._counter is not None
-        self._look()
-        begin_ns = self.clock.start_of(next_ns - MAP_DELAY_NS - 1)
-        self._switch_ns = self.clock.end_of(begin_ns) + MAP_DELAY_NS
-        found, used = self._lanes_at(begin_ns), self._maps[-1]
-        if found is None or found.stamp_ns > begin_ns or found.stamp_ns == used.map_ns:
-            return
-        if same_lanes(found.lanes, used.lanes):
-            return
-        self._counter.use_lanes(found.lanes)
-        if self.watch is not None and next_ns > self._watched.stamp_ns:
-            self.watch.use_lanes(found.lanes)
-        self._use(found, begin_ns)
+        self._look()  # who is gone was counted on the map before
+        lanes = chosen.found.lanes
+        self._counter.use_lanes(lanes)
+        if self.watch is not None and chosen.next_ns > self._watched.stamp_ns:
+            self.watch.use_lanes(lanes)
+        self._use(chosen.found, chosen.from_ns)
 
     def _look(self) -> None:
         """Take vehicles that are gone."""
@@ -320,14 +313,6 @@ class LiveTraffic:
         self._observed.spans_ns = [span for span in spans if span[1] >= needed_ns] or spans[-1:]
         while len(self._maps) > 1 and self._maps[1].from_ns <= begin_ns:
             del self._maps[0]
-
-
-def last_seen(passages: NDArray[np.void]) -> NDArray[np.int64]:
-    """(P,) when the vehicle of each passage was last seen in a lane."""
-    _, vehicle = np.unique(passages["vehicle_id"], return_inverse=True)
-    last = np.full(int(vehicle.max(initial=-1)) + 1, np.iinfo(np.int64).min)
-    np.maximum.at(last, vehicle, passages["last_ns"])
-    return np.asarray(last[vehicle])
 
 
 def _name(passage: np.void) -> tuple[int, int, int]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.core.lane_order import SAME_COS
+from geoorbit_ros.core.lane_order import SAME_COS, lane_numbers
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.polylines import project, sample
 from geoorbit_ros.traffic.lane_sequence import LaneSequence
@@ -40,6 +40,12 @@ CLEAR_M = 2.0
 Chosen: half a car's length, more than the noise of places."""
 SLOWEST_MPS = 0.5
 """A place moves on slower than this by noise alone. Chosen: 2 km/h."""
+STEADY_MPS = 5.0
+"""Who crosses the line faster covers it for the length over the speed. Slower vehicles may stop on
+it. Chosen: from 18 km/h none stands within a second."""
+FAR_M = 40.0
+"""A chosen place is not this far beside a road's lanes. Chosen: one place serves both carriageways
+of a motorway."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,10 +67,35 @@ class Station:
     heading_rad: float
 
 
-def place_stations(lanes: Sequence[Lane]) -> tuple[Station, ...]:
+@dataclass(frozen=True, slots=True)
+class StationPlace:
+    """Where somebody wants the counting stations to be.
+
+    Attributes:
+        point_m: (2,) the place beside it, map frame; None: `along_m` says it.
+        along_m: Metres along the longest lane of each direction.
+    """
+
+    point_m: Array | None = None
+    along_m: float = 0.0
+
+    def on(self, lane: Lane) -> float | None:
+        """Metres along a lane; None: it isn't beside it."""
+        if self.point_m is None:
+            return self.along_m if 0.0 <= self.along_m <= lane.length_m else None
+        at = project(self.point_m[None], lane.centerline_m)
+        beside = bool(at.inside[0]) and abs(float(at.offset_m[0])) < FAR_M
+        return float(at.arc_m[0]) if beside else None
+
+
+def place_stations(lanes: Sequence[Lane], place: StationPlace | None = None) -> tuple[Station, ...]:
     """As few lines as cross every lane once, each in the middle of what its lanes have in common.
 
     Lanes begin and end where traffic is seen badly; in the middle it is seen best.
+
+    Args:
+        lanes: The lanes.
+        place: Lines are there where lanes pass it; the other lanes are crossed as without.
     """
     left, stations = list(range(len(lanes))), list[Station]()
     while left:
@@ -80,7 +111,11 @@ def place_stations(lanes: Sequence[Lane]) -> tuple[Station, ...]:
             crossed[row], at[row] = found.inside & near & (along > SAME_COS), found.arc_m
         crossed[left.index(base)] = True
         at[left.index(base)] = arc
-        middle = _middle_of_most(crossed.sum(axis=0))
+        wanted = place.on(lanes[base]) if place else None
+        if wanted is None:
+            middle = _middle_of_most(crossed.sum(axis=0))
+        else:
+            middle = int(np.abs(arc - wanted).argmin())
         chosen = [row for row in range(len(left)) if crossed[row, middle]]
         stations.append(
             Station(
@@ -93,6 +128,37 @@ def place_stations(lanes: Sequence[Lane]) -> tuple[Station, ...]:
         )
         left = [k for row, k in enumerate(left) if row not in chosen]
     return tuple(stations)
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredLanes:
+    """The lanes in the order of the tables.
+
+    Attributes:
+        lane_id: (L,) ids.
+        number: (L,) numbers from the outer edge of the road.
+        length_m: (L,) lengths.
+        station: (L,) id of the station that crosses each.
+    """
+
+    lane_id: NDArray[np.int64]
+    number: NDArray[np.int64]
+    length_m: Array
+    station: NDArray[np.int64]
+
+
+def measured_lanes(lanes: Sequence[Lane], stations: Sequence[Station]) -> MeasuredLanes:
+    """Lanes ordered by station and number."""
+    numbers = lane_numbers(lanes)
+    rows = sorted(
+        (station.station_id, numbers[lanes[k].lane_id], lanes[k].lane_id, lanes[k].length_m)
+        for station in stations
+        for k in station.lanes
+    )
+    station_id, number, lane_id, length = zip(*rows, strict=True)
+    return MeasuredLanes(
+        np.array(lane_id), np.array(number), np.array(length), np.array(station_id)
+    )
 
 
 def _middle_of_most(count: NDArray[np.int64]) -> int:
@@ -157,7 +223,44 @@ def _crossings_of(paths: Paths, found: LaneSequence, station: Station) -> NDArra
     begin_ns = paths.rows["stamp_ns"][paths.offset[vehicle]]
     out["stamp_ns"] = begin_ns + np.round(when * 1e9).astype(np.int64)
     out["speed_mps"], out["speed_sigma_mps"] = speed, fit.noise_mps[crossed]
+    out["offset_m"] = found.places.offset_m[rows, lane][at]
+    first_s, last_s = _on_line(owner, time_s, beyond, at, when, out)
+    out["front_ns"] = begin_ns + np.round(first_s * 1e9).astype(np.int64)
+    out["rear_ns"] = begin_ns + np.round(last_s * 1e9).astype(np.int64)
     return out
+
+
+def _on_line(
+    owner: NDArray[np.int64],
+    time_s: Array,
+    beyond: Array,
+    at: NDArray[np.int64],
+    when: Array,
+    crossings: NDArray[np.void],
+) -> tuple[Array, Array]:
+    """When each vehicle's front came to the line, and when its rear left it.
+
+    Args:
+        owner: (N,) vehicle of each row.
+        time_s: (N,) time of each row.
+        beyond: (N,) how far behind the line it was.
+        at: (C,) the row behind the line of each crossing.
+        when: (C,) time of each crossing.
+        crossings: (C,) `CROSSING_DTYPE`, with speeds and lengths.
+    """
+    half = np.nan_to_num(crossings["length_m"] / 2.0)
+    half_s = half / np.maximum(crossings["speed_mps"], STEADY_MPS)
+    first, last = when - half_s, when + half_s
+    slow = (crossings["speed_mps"] < STEADY_MPS) & (half > 0.0)
+    for k in np.flatnonzero(slow).tolist():
+        row = int(at[k])
+        begin, end = np.searchsorted(owner, (owner[row], owner[row] + 1)).tolist()
+        before = np.flatnonzero(beyond[begin : row + 1] < -half[k])
+        after = np.flatnonzero(beyond[row:end] >= half[k])
+        first[k] = time_s[begin + int(before[-1])] if len(before) else time_s[begin]
+        last[k] = time_s[row + int(after[0])] if len(after) else time_s[end - 1]
+    # Nobody is on the line before anybody saw it: live, earlier intervals are finished by then.
+    return np.maximum(first, np.minimum(when, 0.0)), last
 
 
 def _nearest_rows(owner: NDArray[np.int64], beyond: Array) -> NDArray[np.int64]:

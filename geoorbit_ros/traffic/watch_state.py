@@ -83,8 +83,8 @@ def _types() -> dict[tuple[str, str], Any]:
         members = vars(module).values()
         found += [m for m in members if isinstance(m, type) and m.__module__ == module.__name__]
     made: dict[tuple[str, str], Any] = {(m.__module__, m.__qualname__): m for m in found}
-    for maker in (np.empty(0).__reduce__()[0], np.float64(0.0).__reduce__()[0]):
-        made[maker.__module__, maker.__name__] = maker
+    makers: tuple[Any, Any] = np.empty(0).__reduce__()[0], np.float64(0.0).__reduce__()[0]
+    made |= {(maker.__module__, maker.__name__): maker for maker in makers}
     return made
 
 

@@ -10,6 +10,7 @@ import pytest
 from made_traffic_days import (
     CLOCK,
     LANES,
+    MOVED,
     SCHEME,
     STOPPED_LANE,
     SUMMER_ENDS_NS,
@@ -117,7 +118,10 @@ def test_times_and_sizes() -> None:
 def test_traffic_beside_the_tracks(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What is exported is what the offline command computes from the same tracks and lanes."""
+    """What is exported is what the offline command computes from the same tracks and lane maps.
+
+    The map changes in the fourth minute: lanes move, and one is there no more.
+    """
     monkeypatch.setenv("COLUMNS", "160")
     path, frames = tmp_path / "t.db", with_events(day(SUMMER_ENDS_NS, 6, vehicles=6))
     road = LaneMap(SUMMER_ENDS_NS, (*LANES, STOPPED_LANE))
@@ -127,8 +131,12 @@ def test_traffic_beside_the_tracks(
         for k, stamp_ns in enumerate(frames.stamp_ns.tolist()):
             database.append("north", stamp_ns, frames.frame(k))
         database.flush()
-        lanes = StampedLanes(0, parse_lane_file(text, "text").lane_map.lanes)
-        follower = TrafficFollower(database, "north", SCHEME, CLOCK, lambda _: lanes)
+        later = dumps_lanes(LaneMap(0, tuple(MOVED[:2])), Datum(50.0, 8.0), camera_id="north")
+        database.append_lanes("north", SUMMER_ENDS_NS + 230 * 10**9, later)
+        follower = TrafficFollower(
+            database, "north", SCHEME, CLOCK,
+            lambda text: StampedLanes(0, parse_lane_file(text, "text").lane_map.lanes),
+        )  # fmt: skip
         while follower.step().batches:
             pass
     options = ["--interval", "60s", "--timezone", CLOCK.zone, "--out", str(tmp_path / "offline")]

@@ -12,8 +12,9 @@ from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.core.tables import BUS, CAR, MOTORCYCLE, TRUCK, UNKNOWN_CLASS
 from geoorbit_ros.traffic.class_schemes import SCHEMES, SchemeFile, scheme_of
 from geoorbit_ros.traffic.interval_clock import NS, ObservedTime
-from geoorbit_ros.traffic.measures import MeasuredLanes, Traffic, headways_s, measure
+from geoorbit_ros.traffic.measures import Traffic, headways_s, measure
 from geoorbit_ros.traffic.records import CROSSING_DTYPE, PASSAGE_DTYPE
+from geoorbit_ros.traffic.stations import MeasuredLanes
 
 LANES = MeasuredLanes(
     np.array([4, 7, 2]), np.array([1, 2, 1]), np.array([100.0, 100.0, 50.0]), np.array([1, 1, 2])
@@ -33,6 +34,9 @@ def made_up(
         table["lane_id"], table["class_id"], table["length_m"] = lane, class_id, length_m
         table["speed_mps"], table["speed_sigma_mps"] = speed, 0.2
     crossings["stamp_ns"] = np.round(at_s * NS)
+    over_ns = round(0.5 * np.nan_to_num(length_m) / speed * NS)
+    crossings["front_ns"] = crossings["stamp_ns"] - over_ns
+    crossings["rear_ns"] = crossings["stamp_ns"] + over_ns
     crossings["station_id"] = LANES.station[LANES.lane_id == lane][0]
     half_ns = 0.5 * length / speed * NS
     passages["first_ns"] = crossings["stamp_ns"] - round(half_ns)

@@ -26,7 +26,6 @@ from geoorbit_ros.traffic.class_schemes import SCHEMES, scheme_text, stored_sche
 from geoorbit_ros.traffic.follower import TrafficFollower
 from geoorbit_ros.traffic.interval_clock import IntervalClock
 from geoorbit_ros.traffic.lane_maps import StampedLanes
-from geoorbit_ros.traffic.live import last_seen
 from geoorbit_ros.traffic.measures import MEASURE_DTYPE
 from geoorbit_ros.traffic.packed import (
     PACKED_MEASURE_DTYPE,
@@ -35,6 +34,7 @@ from geoorbit_ros.traffic.packed import (
     pack_measures,
     pack_passages,
 )
+from geoorbit_ros.traffic.records import last_seen
 
 NAMED: dict[str, list[Lane]] = {"first": LANES, "moved": MOVED}
 SERIES = SeriesName("north", CLOCK.length_s, CLOCK.zone, scheme_text(SCHEME))
