@@ -340,10 +340,11 @@ def _station_sentences(recorded: Recorded, datum: Datum) -> list[str]:
     said = []
     for station in counter.stations:
         ((latitude, longitude),) = datum.to_geodetic(station.place_m[None]).tolist()
-        lane = max(zip(station.lanes, station.arc_m, strict=True), key=lambda k: k[1])
+        lanes = [counter.lanes[k] for k in station.lanes]
+        longest = max(range(len(lanes)), key=lambda k: lanes[k].length_m)
         said.append(
-            f"Station {station.station_id} is at {latitude:.6f},{longitude:.6f}: "
-            f"{lane[1]:.0f} m along lane {counter.lanes[lane[0]].lane_id}."
+            f"Station {station.station_id} is at {latitude:.6f},{longitude:.6f}, "
+            f"{station.arc_m[longest]:.0f} m along lane {lanes[longest].lane_id}."
         )
     return said
 

@@ -40,9 +40,10 @@ CLEAR_M = 2.0
 Chosen: half a car's length, more than the noise of places."""
 SLOWEST_MPS = 0.5
 """A place moves on slower than this by noise alone. Chosen: 2 km/h."""
-STEADY_MPS = 5.0
-"""Who crosses the line faster covers it for the length over the speed. Slower vehicles may stop on
-it. Chosen: from 18 km/h none stands within a second."""
+STEADY_MPS, NEAR_ROWS = 5.0, round(1e9 / BIN_NS)
+"""Who is faster in the second before the line and in that after it covers it for the length over
+the speed. Slower vehicles may have stopped on it. Chosen: from 18 km/h none stands within a second;
+more takes time to look, less misses who stops short."""
 FAR_M = 40.0
 """A chosen place is not this far beside a road's lanes. Chosen: one place serves both carriageways
 of a motorway."""
@@ -101,21 +102,22 @@ def place_stations(lanes: Sequence[Lane], place: StationPlace | None = None) -> 
     while left:
         base = max(left, key=lambda k: (lanes[k].length_m, -k))
         points = sample(lanes[base].centerline_m, 1.0)
-        arc = (np.arange(len(points.point_m)) + 0.5) * points.piece_m
+        point_m = points.point_m.copy()
+        arc = (np.arange(len(point_m)) + 0.5) * points.piece_m
+        wanted = place.on(lanes[base]) if place else None
+        if wanted is not None:
+            chosen_row = int(np.abs(arc - wanted).argmin())
+            arc[chosen_row], point_m[chosen_row] = wanted, _point(lanes[base], wanted)
         crossed = np.zeros((len(left), len(arc)), np.bool_)
         at = np.zeros((len(left), len(arc)))
         for row, k in enumerate(left):
-            found = project(points.point_m, lanes[k].centerline_m)
+            found = project(point_m, lanes[k].centerline_m)
             along = (points.tangent * found.tangent).sum(axis=1)
             near = np.abs(found.offset_m) < BESIDE_M
             crossed[row], at[row] = found.inside & near & (along > SAME_COS), found.arc_m
         crossed[left.index(base)] = True
         at[left.index(base)] = arc
-        wanted = place.on(lanes[base]) if place else None
-        if wanted is None:
-            middle = _middle_of_most(crossed.sum(axis=0))
-        else:
-            middle = int(np.abs(arc - wanted).argmin())
+        middle = _middle_of_most(crossed.sum(axis=0)) if wanted is None else chosen_row
         chosen = [row for row in range(len(left)) if crossed[row, middle]]
         stations.append(
             Station(
@@ -251,14 +253,19 @@ def _on_line(
     half = np.nan_to_num(crossings["length_m"] / 2.0)
     half_s = half / np.maximum(crossings["speed_mps"], STEADY_MPS)
     first, last = when - half_s, when + half_s
-    slow = (crossings["speed_mps"] < STEADY_MPS) & (half > 0.0)
-    for k in np.flatnonzero(slow).tolist():
+    slow = np.zeros(len(at), np.bool_)
+    for step in (-NEAR_ROWS, NEAR_ROWS):
+        other = np.clip(at + step, 0, max(len(owner) - 1, 0))
+        way, spent_s = np.abs(beyond[other] - beyond[at]), np.abs(time_s[other] - time_s[at])
+        slow |= (owner[other] == owner[at]) & (way < STEADY_MPS * spent_s)
+    for k in np.flatnonzero(slow & (half > 0.0)).tolist():
         row = int(at[k])
         begin, end = np.searchsorted(owner, (owner[row], owner[row] + 1)).tolist()
-        before = np.flatnonzero(beyond[begin : row + 1] < -half[k])
-        after = np.flatnonzero(beyond[row:end] >= half[k])
-        first[k] = time_s[begin + int(before[-1])] if len(before) else time_s[begin]
-        last[k] = time_s[row + int(after[0])] if len(after) else time_s[end - 1]
+        step_s = np.diff(time_s[begin:end], append=time_s[end - 1])
+        # A sum, as the noise of a vehicle that stands beside the line puts some places on it.
+        over_s = np.where(np.abs(beyond[begin:end]) <= half[k], step_s, 0.0)
+        first[k] = min(first[k], when[k] - over_s[: row - begin].sum())
+        last[k] = max(last[k], when[k] + over_s[row - begin :].sum())
     # Nobody is on the line before anybody saw it: live, earlier intervals are finished by then.
     return np.maximum(first, np.minimum(when, 0.0)), last
 

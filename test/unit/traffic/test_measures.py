@@ -63,6 +63,19 @@ def row(table: NDArray[np.void], start_s: float, lane: int, category: int = -1) 
 EVERY_3_S = np.arange(1.5, 300.0, 3.0)
 
 
+def test_who_stands_on_the_line_covers_it_in_each_interval_that_it_stands_in() -> None:
+    passages, crossings = made_up(4, np.array([130.0]), 0.1)
+    crossings["front_ns"], crossings["rear_ns"] = 30 * NS, 150 * NS
+    made = traffic((passages, crossings), observed=watched((0, 240)))
+    edges = np.array([0, 60, 120, 180, 240]) * NS
+    for rows in (
+        measure(made, edges),
+        np.concatenate([measure(made, edges[k : k + 2]) for k in range(4)]),
+    ):
+        found = [row(rows, start_s, 4)["occupancy_percent"] for start_s in (0, 60, 120, 180)]
+        assert found == pytest.approx([50.0, 100.0, 50.0, 0.0])
+
+
 def test_steady_traffic_has_the_flow_speed_density_and_headway_that_it_was_made_with() -> None:
     made = traffic(made_up(4, EVERY_3_S, 20.0), observed=watched((0, 300)))
     found = row(measure(made, np.array([0, 300]) * NS), 0, 4)
