@@ -65,8 +65,8 @@ class Counted:
 
 def nobody() -> Counted:
     """No vehicle."""
-    kinds = (PASSAGE_DTYPE, CROSSING_DTYPE, PIECE_DTYPE)
-    return Counted(*(np.empty(0, kind) for kind in kinds), 0, 0)
+    passages, crossings = np.empty(0, PASSAGE_DTYPE), np.empty(0, CROSSING_DTYPE)
+    return Counted(passages, crossings, np.empty(0, PIECE_DTYPE), 0, 0)
 
 
 class TrafficCounter:

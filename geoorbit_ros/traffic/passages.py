@@ -19,6 +19,10 @@ SHORTEST_M = 5.0
 """A lane in which a vehicle drove less far was none of its lanes. Chosen: a car's length."""
 
 
+SEAM_M = 20.0
+"""Who is so far back along its lane from one row to the next has passed the place where a
+roundabout's lane ends and begins. Chosen: more than any error of a place, less than half of the
+smallest roundabout."""
 PIECE_NS = 10_000_000_000
 """Length of the pieces of a passage. Chosen: most vehicles of a flowing road are seen for less, so
 that they have one; shorter makes tables of a jam long, longer smears a stop over more time."""
@@ -81,6 +85,7 @@ def find_passages(paths: Paths, found: LaneSequence, runs: Runs) -> NDArray[np.v
     out["speed_sigma_mps"] = np.where(stops, plain_sigma, fit.noise_mps)
     out["from_lane"] = out["to_lane"] = -1
     same = out["vehicle_id"][1:] == out["vehicle_id"][:-1]
+    same &= out["lane_id"][1:] != out["lane_id"][:-1]
     out["from_lane"][1:][same] = out["lane_id"][:-1][same]
     out["to_lane"][:-1][same] = out["lane_id"][1:][same]
     return out
@@ -118,10 +123,11 @@ def find_runs(paths: Paths, found: LaneSequence) -> Runs:
     while True:
         changed = np.diff(lane[rows], prepend=-2) != 0
         changed |= np.diff(owner[rows], prepend=-1) != 0
+        arc = found.places.arc_m[rows, lane[rows]]
+        changed |= np.diff(arc, prepend=0.0) < -SEAM_M
         run = np.cumsum(changed) - 1
         begin = np.flatnonzero(changed)
         end = np.append(begin[1:], len(rows)) - 1
-        arc = found.places.arc_m[rows, lane[rows]]
         kept = arc[end] - arc[begin] >= SHORTEST_M if len(rows) else np.zeros(0, np.bool_)
         if kept.all():
             return Runs(owner[rows][begin], lane[rows][begin], rows, run)

@@ -304,6 +304,22 @@ def test_time_and_way_are_in_the_intervals_in_which_they_were_spent_and_driven()
     assert speed[2] == pytest.approx(79.0 / 22.0, rel=0.1)
 
 
+@pytest.mark.parametrize("from_turn", [0.3, 0.6, 0.9])
+def test_the_place_where_a_roundabout_begins_and_ends_is_no_end(from_turn: float) -> None:
+    round_m = 2.0 * np.pi * 18.0
+    ring = lane(4, arc(18.0), 0.0, round_m)
+    path = arc(18.0)
+    vehicle = drive(
+        lambda s: path(s + from_turn * round_m), 8.0, seen_m=(0.0, 0.65 * round_m), noise_m=0.05
+    )
+    counted = count(frames_of(vehicle), [ring])
+    assert (counted.passages["lane_id"] == 4).all()
+    assert (counted.passages["from_lane"] == 0).all()
+    assert counted.pieces["way_m"].sum() == pytest.approx(0.65 * round_m, abs=4.0)
+    assert counted.passages["speed_mps"] == pytest.approx(8.0, abs=0.4)
+    assert len(counted.crossings) == (from_turn > 0.85 or from_turn < 0.5)
+
+
 def test_rows_of_another_kind_and_earlier_frames_are_refused() -> None:
     counter = TrafficCounter(TWO_LANES)
     counter.add(frames_of(drive(straight())))
