@@ -36,7 +36,7 @@ STEP_BATCHES = 256
 more keeps a node from its other work, less catches up slower."""
 KEEP_NS = 300_000_000_000
 """Time between two stored states of who watches for events. Chosen: after a stop five minutes are
-watched again, within a second; shorter writes 20 kB more often."""
+watched again, within a second; shorter writes ten kilobytes more often."""
 ParseLanes = Callable[[str], StampedLanes]
 """From a lane map's text to its lanes."""
 
