@@ -16,13 +16,11 @@ from geoorbit_ros.calibration.traffic.model import (
     HEIGHT,
     HIGHEST,
     LOWEST,
-    PLACE,
     ROLL,
     ROOF,
     ROOF_MEAN,
     STEP,
     TILT,
-    YAW,
     Explained,
     KnownPoints,
     TrafficModel,
@@ -285,4 +283,3 @@ def _laid_on(points: KnownPoints, x: Array, image_size: tuple[int, int]) -> Arra
     return np.append(yaw, points.local_m.mean(axis=0) - turn @ ground.mean(axis=0))
 
 
-__all__ = ["PLACE", "TILT", "YAW", "TrafficCalibration", "calibrate_from_traffic"]
