@@ -45,6 +45,7 @@ def read_control_points(
     *,
     image_size: tuple[int, int] | None = None,
     strict: bool = False,
+    few: bool = False,
 ) -> ControlPoints:
     """Read `pixel_x,pixel_y,latitude,longitude` or `pixel_x,pixel_y,x_m,y_m`.
 
@@ -56,6 +57,7 @@ def read_control_points(
         image_size: (width, height) of the camera's images in pixels. Points of a file that says
             another size are scaled to it; pixels in shares of the image are taken times it.
         strict: Whether any fault refuses the file.
+        few: Whether points that fix no plane will do, fewer than four or all on one line.
 
     Raises:
         InputFileError: No such file, no such columns, or with `strict` any fault.
@@ -94,7 +96,8 @@ def read_control_points(
         points = of_images(points, image_size)
     if strict:
         points.report.check(strict, EXPECTED)
-    check_points(points)
+    if not few:
+        check_points(points)
     return points
 
 

@@ -15,6 +15,7 @@ import typer
 from geoorbit_ros import __version__
 from geoorbit_ros.cli import bag, camera, database, scene, twin
 from geoorbit_ros.cli import map as road_map
+from geoorbit_ros.cli.calibrate import calibrate
 from geoorbit_ros.cli.detect import detect
 from geoorbit_ros.cli.export import export
 from geoorbit_ros.cli.lanes import lanes, score
@@ -67,6 +68,7 @@ def _options(
 
 _COMMANDS: dict[str, Callable[..., None]] = {
     "demo": demo,
+    "calibrate": calibrate,
     "lanes": lanes,
     "process": process,
     "replay": replay,

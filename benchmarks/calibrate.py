@@ -1,0 +1,183 @@
+"""Cameras calibrated from traffic alone, against the truth.
+
+Random scenes with cameras of any height, tilt, field of view and a little roll, and fleets whose
+vehicles are up to 4 % larger or smaller than usual; the estimator knows neither. Distances are
+compared where vehicles drive: local metres along and across their way, against the true ones.
+Where GEOORBIT_REAL_DATA names its folder, the two real cameras take part; the calibration that they
+are held against is itself 10 to 20 % uncertain along the road.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from calibration_scenes import FLEET, watch
+from numpy.typing import NDArray
+
+from geoorbit_ros.calibration.box_projector import BoxProjector
+from geoorbit_ros.calibration.camera_pose import recover_pose
+from geoorbit_ros.calibration.control_point_file import read_control_points
+from geoorbit_ros.calibration.control_points import ControlPoints
+from geoorbit_ros.calibration.homography import fit_homography
+from geoorbit_ros.calibration.robust import jacobian
+from geoorbit_ros.calibration.traffic.control_grid import control_grid, scale_sigma
+from geoorbit_ros.calibration.traffic.estimate import TrafficCalibration, calibrate_from_traffic
+from geoorbit_ros.core.errors import GeoOrbitError, NoTrafficError
+from geoorbit_ros.core.tables import Frames
+from geoorbit_ros.lanes.estimators.estimator import make_estimator
+from geoorbit_ros.lanes.mapping.mapper import LaneMapper
+from geoorbit_ros.lanes.pipeline import map_lanes, project_frames
+from geoorbit_ros.storage.track_csv import read_track_csv
+
+Array = NDArray[np.float64]
+REAL_CAMERAS, REAL_SIZE = ("Yahara", "Monona"), (1920, 1080)
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Of one camera.
+
+    Attributes:
+        along, across: Median ratio of local distances to the true ones.
+        inner: 5 and 95 % of them, along then across.
+        lanes, true_lanes: Confirmed lanes with this calibration and with the true one.
+        off_sigma: Error of the mean scale in units of its claimed sigma.
+        seconds: Processor time.
+    """
+
+    along: float
+    across: float
+    inner: tuple[float, ...]
+    lanes: int
+    true_lanes: int
+    off_sigma: float
+    seconds: float
+
+
+def local_ratios(found: TrafficCalibration, to_pixel: Array) -> tuple[Array, Array]:
+    """(N,) ratios of distances along and across the vehicles' ways to those of a true camera."""
+    explained = found.explained
+    good = explained.fit.good
+    ground = np.vstack((explained.fit.xy[:, good], np.ones(int(good.sum()))))
+    angle = explained.headings.angle[good]
+    plane = found.projection[:, [0, 1, 3]]
+    uvw = plane @ ground
+    pixel = (uvw[:2] / uvw[2]).T
+    to_road = jacobian(np.linalg.inv(to_pixel), pixel)
+    from_road = np.linalg.inv(jacobian(np.linalg.inv(plane), pixel))
+    truly = to_road @ from_road
+    ahead = np.einsum("nij,nj->ni", truly, np.column_stack((np.cos(angle), np.sin(angle))))
+    length = np.hypot(*ahead.T)
+    # Across: what the true camera calls perpendicular.
+    aside = np.column_stack((-ahead[:, 1], ahead[:, 0])) / length[:, None]
+    back = np.einsum("nij,nj->ni", np.linalg.inv(truly), aside)
+    return 1.0 / length, np.hypot(*back.T)
+
+
+def lane_count(frames: Frames, points: ControlPoints, size: tuple[int, int]) -> int:
+    """Confirmed lanes, as `geoorbit lanes` finds them."""
+    projector = BoxProjector(fit_homography(points), size)
+    try:
+        mapper = LaneMapper(make_estimator("curvilinear"))
+        lane_map = map_lanes(project_frames(frames, projector), mapper)
+    except NoTrafficError:
+        return 0
+    return sum(lane.status == "confirmed" for lane in lane_map.lanes)
+
+
+def exact_points(found: TrafficCalibration, to_pixel: Array) -> ControlPoints:
+    """The grid of a camera with the true positions."""
+    grid = control_grid(found)
+    homogeneous = np.column_stack((grid.pixel, np.ones(len(grid)))).T
+    ground = np.linalg.solve(to_pixel, homogeneous)
+    local = (ground[:2] / ground[2]).T
+    return ControlPoints(grid.pixel, local, None, grid.line_number)
+
+
+def judge(frames: Frames, size: tuple[int, int], to_pixel: Array, lens: bool) -> Errors:
+    """Calibrate, and hold it against a true camera's (3, 3) plane."""
+    began = time.process_time()
+    found = calibrate_from_traffic(frames, size, find_lens=lens)
+    seconds = time.process_time() - began
+    along, across = local_ratios(found, to_pixel)
+    inner = (*np.quantile(along, [0.05, 0.95]), *np.quantile(across, [0.05, 0.95]))
+    lanes = lane_count(frames, control_grid(found), size)
+    true_lanes = lane_count(frames, exact_points(found, to_pixel), size)
+    mean = float(np.sqrt(np.median(along) * np.median(across)))
+    off = (mean - 1.0) / scale_sigma(found)
+    return Errors(
+        float(np.median(along)), float(np.median(across)), tuple(map(float, inner)),
+        lanes, true_lanes, off, seconds,
+    )  # fmt: skip
+
+
+def line(name: str, errors: Errors, more: str = "") -> None:
+    """Print a row."""
+    a, b, c, d = errors.inner
+    print(
+        f"{name:>12}  along {errors.along:.3f} ({a:.2f} {b:.2f})  across {errors.across:.3f} "
+        f"({c:.2f} {d:.2f})  lanes {errors.lanes}/{errors.true_lanes}  "
+        f"{errors.off_sigma:+.1f} sigma  {errors.seconds:.1f} s  {more}",
+        flush=True,
+    )
+
+
+def summary(found: list[Errors], fleets: list[float], refused: int) -> None:
+    """Print medians and 95 % of the errors."""
+    print(f"\n{len(found)} cameras calibrated, {refused} refused")
+    for name in ("along", "across"):
+        ratio = np.array([getattr(errors, name) for errors in found])
+        for what, off in (
+            ("", np.abs(ratio - 1.0)),
+            (", without the fleet's part", np.abs(ratio * np.array(fleets) - 1.0)),
+        ):
+            middle, high = 100 * np.quantile(off, [0.5, 0.95])
+            print(f"scale {name}{what}: {middle:.1f} % in the median, {high:.1f} % at 95 %")
+    same = np.mean([errors.lanes == errors.true_lanes for errors in found])
+    sigma = np.mean([abs(errors.off_sigma) <= 2.0 for errors in found])
+    print(f"as many lanes as with the true calibration: {100 * same:.0f} %")
+    print(f"mean scale within two claimed sigma: {100 * sigma:.0f} %")
+    print(f"processor time: {np.median([errors.seconds for errors in found]):.1f} s in the median")
+
+
+def main() -> None:
+    """Run it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scenes", type=int, default=60)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--usual-fleet", action="store_true", help="no fleet larger or smaller")
+    parser.add_argument("--lens", action="store_true", help="also look for a lens in the paths")
+    options = parser.parse_args()
+    found, fleets, refused = [], [], 0
+    for seed in range(options.first, options.first + options.scenes):
+        seen = watch(seed, options.seconds, 0.0 if options.usual_fleet else FLEET)
+        plane = seen.camera.matrix[:, [0, 1, 3]]
+        try:
+            errors = judge(seen.frames, seen.camera.image_size, plane, options.lens)
+        except GeoOrbitError as error:
+            print(f"{seen.name:>12}  {error}", flush=True)
+            refused += 1
+            continue
+        camera = f"{seen.height_m:.0f} m, {seen.tilt_deg:.0f} deg down, {seen.field_of_view_deg:.0f} deg wide"
+        line(seen.name, errors, f"{camera}, fleet {seen.fleet:.3f}")
+        found.append(errors)
+        fleets.append(seen.fleet)
+    if found:
+        summary(found, fleets, refused)
+    folder = os.environ.get("GEOORBIT_REAL_DATA")
+    for name in REAL_CAMERAS if folder else ():
+        place = Path(str(folder)) / "us12" / name
+        frames = read_track_csv(place / "trajectory.csv")
+        plane = fit_homography(read_control_points(place / "calibration.csv"))
+        pose = recover_pose(plane, REAL_SIZE)
+        line(name, judge(frames, REAL_SIZE, pose.projection[:, [0, 1, 3]], options.lens))
+
+
+if __name__ == "__main__":
+    main()

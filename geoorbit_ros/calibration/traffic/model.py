@@ -1,0 +1,393 @@
+"""How likely a camera is, given the boxes that it showed of traffic.
+
+Every vehicle is a box on the road of one unknown size, turned the way it drives. A camera is likely
+if sizes that its class has explain the boxes all along each vehicle's way, and if neighbours drive
+side by side. Sizes and positions are solved for within each evaluation (variable projection, Golub
+and Pereyra (2003)), and the determinant that marginalising the sizes leaves is part of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.calibration.traffic.paths import (
+    PARALLEL_CAUCHY,
+    PARALLEL_SIGMA_RAD,
+    Headings,
+    Neighbours,
+    find_neighbours,
+    path_headings,
+)
+from geoorbit_ros.calibration.traffic.samples import TrafficSamples
+from geoorbit_ros.calibration.vehicle_fit import VehicleFit, fit_vehicles, on_plane
+from geoorbit_ros.calibration.vehicle_size import BUS, CAR, COVARIANCE, MEAN_M, PRECISION
+
+Array = NDArray[np.float64]
+
+FOCAL, TILT, ROLL, HEIGHT, FLEET, MARGIN, ROOF, YAW, PLACE = (
+    0, 1, 2, 3, slice(4, 10), slice(10, 12), 12, 13, slice(14, 16),
+)  # fmt: skip
+"""Parameters: log of focal length over image width; tilt below the horizontal and roll in radians;
+log of the height in metres; how much larger than usual cars are (length, width, height), then
+motorcycles, buses and trucks; pixels that a detector draws boxes wider and higher; share of its
+length by which a car's roof is shorter; then, where points are known, the camera's heading and
+place in their frame."""
+FEW, MANY = 13, 16
+"""Parameters without known points, and with them."""
+LOWEST = np.array([np.log(0.25), np.radians(1), -0.2, np.log(2.5), *[-0.3] * 6, -8, -8, -0.2])
+HIGHEST = np.array([np.log(10.0), np.radians(80), 0.2, np.log(90), *[0.3] * 6, 8, 8, 0.5])
+"""Bounds: 127 to 6 degrees wide, 2.5 to 90 m high, roll to 11 degrees."""
+STEP = np.array([0.1, 0.03, 0.02, 0.1, *[0.03] * 6, 1, 1, 0.05, 0.05, 1, 1])
+"""How much of each parameter changes about as much."""
+
+FLEET_COMMON, FLEET_OWN = 0.03, 0.025
+"""1-sigma of the mean size of a place's cars against `MEAN_M`: of all three dimensions together,
+and of each. New cars are 1.80 m wide in Europe (Transport & Environment (2024), growth of 1 cm in
+two years) and 1.85 to 1.95 m in North America, whose commonest models are a crossover and a pickup;
+lengths 4.4 and 4.8 m. A fleet in the middle is off by 3 to 4 %."""
+GROUP_FLEET = np.array([0.1, 0.04, 0.12])
+"""The same of motorcycles, buses (2.55 m is the legal width nearly everywhere) and trucks, which
+for a detector are everything from a pickup to a semitrailer."""
+MARGIN_SIGMA_PX = 1.0
+"""1-sigma of what a detector adds to a box's width and height whatever the distance."""
+ROOF_MEAN, ROOF_SIGMA = 0.12, 0.15
+"""A roof is shorter than the car and the upper edge of a box shows the roof: by 0 (a van) to 0.25
+(a saloon car, whose roof is half as long as it is)."""
+ROOF_OF_LARGE = 0.3
+"""The same of buses and trucks, as a share of that of cars."""
+ROLL_SIGMA_RAD = np.radians(1.0)
+"""1-sigma of a camera's roll: mounts are levelled by eye. Boxes say little about it: vehicles that
+come and those that go look different, and each kind is on one side of the image."""
+HEIGHT_MEAN_M, HEIGHT_SIGMA = 11.0, 0.8
+FOCAL_SIGMA = 1.0
+TILT_MEAN_RAD, TILT_SIGMA_RAD = 0.3, 0.6
+"""Weak priors, of which any camera on a pole is within two sigma: 2 to 55 m high, a focal length of
+0.14 to 7 image widths."""
+KNOWN_FOCAL_SIGMA = 0.01
+"""1-sigma, as a share, of a focal length that the user's camera_info gives."""
+
+SIDE_SIGMA_PX = 1.1
+SIDE_SIGMA_RATIO = 0.025
+CORRELATION_S = 1.4
+"""1-sigma of a box's side: as `vehicle_fit` has it of an edge, and a slow part, which stays the
+same for a second: places that are nearer in time have more of it each, so that they don't count
+as independent."""
+PATH_SIGMA_PX, PATH_SIGMA_RATIO = 0.6, 0.02
+"""The same of the middle of a box across the way."""
+POSITION_PRIOR = 0.15
+"""Share of a size's variance within its class that is left when positions are taken."""
+START_LOSS, LOSS = 1.5, 2.5
+"""Sigma beyond which a box counts less, while looking for the camera (pseudo-Huber) and in the end
+(Cauchy): tracks that change vehicles are far off."""
+INDEPENDENT_VEHICLES = 25.0
+"""The boxes of all vehicles weigh as much as those of so many: real ones aren't boxes, and miss
+them together in the same places. Set where cameras with surveyed points lie within two sigma."""
+OFFSET = 1e3
+"""Added to the logarithm of a vehicle's determinant, so that its root exists."""
+BEYOND = 6.0
+"""Residual of a vehicle that would stand beyond the horizon."""
+
+
+def projection_matrix(x: Array, image_size: tuple[int, int]) -> Array:
+    """(3, 4) from metres (right, ahead, up; from the ground below the camera) to pixels."""
+    width, height = image_size
+    sin, cos = np.sin(x[TILT]), np.cos(x[TILT])
+    right, down = np.array([1.0, 0.0, 0.0]), np.array([0.0, -sin, -cos])
+    turn, lean = np.cos(x[ROLL]), np.sin(x[ROLL])
+    ahead = np.array([0.0, cos, -sin])
+    rotation = np.vstack((turn * right - lean * down, lean * right + turn * down, ahead))
+    focal = np.exp(x[FOCAL]) * width
+    camera = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+    place = np.array([0.0, 0.0, np.exp(x[HEIGHT])])
+    return np.asarray(camera @ np.column_stack((rotation, -rotation @ place)))
+
+
+@dataclass(frozen=True, slots=True)
+class KnownPoints:
+    """Points on the road whose place is known, with their errors.
+
+    Attributes:
+        pixel: (M, 2) ideal pixels.
+        local_m: (M, 2) metres in a frame of the user's.
+        sigma_px: (M,) of a pixel coordinate.
+        sigma_m: (M,) of a ground coordinate.
+    """
+
+    pixel: Array
+    local_m: Array
+    sigma_px: Array
+    sigma_m: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Explained:
+    """What a camera makes of the boxes.
+
+    Attributes:
+        fit: Positions and sides of the vehicles.
+        headings: At every place, shared with the neighbours.
+        own_headings: At every place, of the vehicle alone.
+        size_m: (3, K) of the vehicles.
+        residual: (2, N) width and height of the boxes, in sigma.
+        information: (3, 3, K) about each size, its prior included.
+    """
+
+    fit: VehicleFit
+    headings: Headings
+    own_headings: Headings
+    size_m: Array
+    residual: Array
+    information: Array
+
+
+class TrafficModel:
+    """Residuals of a camera, for least squares.
+
+    Args:
+        samples: Boxes.
+        image_size: (width, height) in pixels.
+        points: Points that the user knows.
+        focal_px: The focal length, where it is known.
+
+    Attributes:
+        noise: What the sides' errors are multiplied with.
+        robust: Cauchy's loss in place of the milder one.
+    """
+
+    def __init__(
+        self,
+        samples: TrafficSamples,
+        image_size: tuple[int, int],
+        points: KnownPoints | None = None,
+        focal_px: float | None = None,
+    ) -> None:
+        self.samples, self.image_size = samples, image_size
+        self._points, self._focal_px = points, focal_px
+        low, high = samples.edges[:2], samples.edges[2:]
+        self.centre, self.side = (low + high) / 2, high - low
+        self.vehicle, self.group = samples.vehicle, samples.group
+        self.first = np.flatnonzero(np.diff(self.vehicle, prepend=-1))
+        lasts = np.maximum.reduceat(samples.time_s, self.first) - samples.time_s[self.first]
+        spacing = lasts / np.maximum(np.bincount(self.vehicle) - 1, 1)
+        slow = np.maximum(1.0, CORRELATION_S / np.maximum(spacing, 0.05))[self.vehicle]
+        self.sigma = np.sqrt(SIDE_SIGMA_PX**2 + SIDE_SIGMA_RATIO**2 * slow * self.side**2)
+        across = PATH_SIGMA_RATIO**2 * slow * self.side.max(axis=0) ** 2
+        self._path_sigma = np.sqrt(PATH_SIGMA_PX**2 + across)
+        self._size = np.ones((3, len(self.group)))
+        self._unit = float(np.log(10.0))
+        self._near: Neighbours | None = None
+        self._aside: Neighbours | None = None
+        self._aside_sigma: Array = np.ones(0)
+        self._directions: tuple[Array, ...] | None = None
+        self._settled: Headings
+        self._mean, self._prior = MEAN_M[self.group].T, PRECISION[self.group].transpose(1, 2, 0)
+        self._root = np.linalg.cholesky(PRECISION).transpose(0, 2, 1)[self.group]
+        self._weight = np.sqrt(min(1.0, INDEPENDENT_VEHICLES / max(len(self.group), 1)))
+        self.noise, self.robust = 1.0, False
+
+    @property
+    def parameters(self) -> int:
+        """How many a vector has."""
+        return FEW if self._points is None else MANY
+
+    def usual_size(self, x: Array) -> Array:
+        """(3, K) mean size of each vehicle's group, in this fleet."""
+        larger = np.empty((4, 3))
+        larger[CAR], larger[CAR + 1 :] = x[4:7], x[7:10, None]
+        return np.asarray((MEAN_M * (1.0 + larger))[self.group].T)
+
+    def explain(self, x: Array, steps: int = 2, size_m: Array | None = None) -> Explained:
+        """Positions, headings and sizes of all vehicles for a camera."""
+        matrix, usual = projection_matrix(x, self.image_size), self.usual_size(x)
+        size = self._size * usual if size_m is None else size_m
+        spread = POSITION_PRIOR * COVARIANCE[self.group].transpose(1, 2, 0)
+        relative = self._mean / usual
+        prior = self._prior * relative[:, None] * relative
+        xy = on_plane(matrix, self.centre, size[2][self.vehicle] / 2)[0]
+        roof = x[ROOF] * np.where(self.group < BUS, 1.0, ROOF_OF_LARGE)[self.vehicle]
+        sigma = self.sigma * self.noise
+        for _ in range(steps):
+            own, headings = self._headings(matrix, x, xy)
+            with np.errstate(all="ignore"):
+                fit = fit_vehicles(
+                    matrix,
+                    self.centre,
+                    self.side,
+                    headings.angle,
+                    size[:, self.vehicle],
+                    spread[:, :, self.vehicle],
+                )
+            slope, predicted = fit.side_slope.copy(), fit.side_px + x[MARGIN][:, None]
+            predicted[1] -= roof * slope[1, 0] * size[0][self.vehicle]
+            slope[1, 0] *= 1.0 - roof
+            slope /= sigma[:, None]
+            residual = (self.side - predicted) / sigma
+            weighted = slope * self._box_weight(residual, fit.good)[:, None]
+            target = residual + (slope * size[:, self.vehicle]).sum(axis=1)
+            normal = self._sums((slope[:, :, None] * weighted[:, None]).sum(axis=0)) + prior
+            vector = self._sums((weighted * target[:, None]).sum(axis=0))
+            vector += (prior * usual).sum(axis=1)
+            new = np.linalg.solve(normal.transpose(2, 0, 1), vector.T[:, :, None])[:, :, 0].T
+            new = np.clip(new, 0.4 * usual, 2.8 * usual)
+            residual -= (slope * (new - size)[:, self.vehicle]).sum(axis=1)
+            size, xy = new, fit.xy
+        full = (slope[:, :, None] * slope[:, None]).sum(axis=0) * fit.good
+        return Explained(fit, headings, own, size, residual, self._sums(full) + prior)
+
+    def _sums(self, values: Array) -> Array:
+        return np.asarray(np.add.reduceat(values, self.first, axis=-1))
+
+    def _box_weight(self, residual: Array, good: NDArray[np.bool_]) -> Array:
+        if self.robust:
+            weight = np.broadcast_to(1.0 / (1.0 + (residual**2).sum(axis=0) / LOSS**2), (2, len(good)))
+        else:
+            weight = 1.0 / np.sqrt(1.0 + (residual / 2.0) ** 2)
+        return np.where(good, weight, 0.0)
+
+    def _headings(self, matrix: Array, x: Array, xy: Array) -> tuple[Headings, Headings]:
+        """Of each vehicle alone, and shared with its neighbours."""
+        zoom = np.exp(self._unit - x[HEIGHT])
+        if self._directions is not None:
+            slope = _pixels_per_metre(matrix, xy)
+            own, shared = (_on_road(slope, shown) for shown in self._directions)
+            variance, bend = self._settled.variance, self._settled.curvature
+            return Headings(own, variance, bend), Headings(shared, variance, bend)
+        xy = xy * zoom
+        depth = np.maximum(matrix[2, :2] @ np.nan_to_num(xy) + matrix[2, 3] * zoom, 0.5)
+        noise = self._path_sigma * depth / (np.exp(x[FOCAL]) * self.image_size[0])
+        own = path_headings(xy, noise, self.vehicle)
+        return own, own if self._near is None else self._near.share(xy, own)
+
+    def settle(self, x: Array) -> None:
+        """Take a camera for nearly right: neighbours, ways, sizes and noise are as it shows them.
+
+        From then on the ways' directions in the image are given. Smoothed anew for every camera,
+        they would favour one that shortens the road, where less of their noise is left.
+        """
+        self._unit, self._near, self._aside = float(x[HEIGHT]), None, None
+        self._directions = None
+        found = self.explain(x, 4)
+        good = found.fit.good
+        headings = found.own_headings
+        self._near, self._aside = find_neighbours(found.fit.xy, headings, self.vehicle, good)
+        here, there = self._aside.here, self._aside.there
+        variance = PARALLEL_SIGMA_RAD**2 + headings.variance[here] + headings.variance[there]
+        self._aside_sigma = np.sqrt(variance) * self._pixel_turn(x, found)[here]
+        found = self.explain(x, 4)
+        slope = _pixels_per_metre(projection_matrix(x, self.image_size), found.fit.xy)
+        self._settled = found.own_headings
+        self._directions = tuple(
+            slope[:, 0] * np.cos(turned.angle) + slope[:, 1] * np.sin(turned.angle)
+            for turned in (found.own_headings, found.headings)
+        )
+        self._size = found.size_m / self.usual_size(x)
+        middle = float(np.median(np.abs(found.residual[:, good]))) / 0.6745
+        self.noise = float(np.clip(1.1 * self.noise * middle, 0.4, 2.0))
+
+    def _pixel_turn(self, x: Array, found: Explained) -> Array:
+        """(N,) how much a way turns in the image when it turns on the road."""
+        slope = _pixels_per_metre(projection_matrix(x, self.image_size), found.fit.xy)
+        angle = found.own_headings.angle
+        ahead = slope[:, 0] * np.cos(angle) + slope[:, 1] * np.sin(angle)
+        area = slope[0, 0] * slope[1, 1] - slope[0, 1] * slope[1, 0]
+        return np.asarray(np.abs(area) / ((ahead**2).sum(axis=0) + 1e-12))
+
+    def residuals(self, x: Array) -> Array:
+        """Everything, in sigma, robust losses applied: half the sum of squares is to be least.
+
+        Args:
+            x: (13,) or (16,), see `FOCAL` and so on.
+        """
+        found = self.explain(x)
+        usual = self.usual_size(x)
+        boxes = np.where(found.fit.good, found.residual, BEYOND)
+        if self.robust:
+            square = (boxes**2).sum(axis=0)
+            boxes = boxes * LOSS * np.sqrt(np.log1p(square / LOSS**2) / (square + 1e-9))
+        else:
+            boxes = _pseudo_huber(boxes)
+        sizes = found.size_m / usual * self._mean - self._mean
+        sizes = _pseudo_huber(np.einsum("kij,jk->ik", self._root, sizes))
+        scaled = np.nan_to_num(found.information * usual[:, None] * usual).transpose(2, 0, 1)
+        spread = np.linalg.slogdet(scaled + 1e-9 * np.eye(3))[1]
+        parts = [
+            self._weight * boxes.ravel(),
+            self._weight * sizes.ravel(),
+            self._weight * np.sqrt(np.maximum(OFFSET + spread, 0.0)),
+            self._parallel(x, found),
+            self._priors(x),
+            self._known_points(x),
+        ]
+        return np.nan_to_num(np.concatenate(parts), nan=4.0, posinf=10.0, neginf=-10.0)
+
+    def _parallel(self, x: Array, found: Explained) -> Array:
+        """Angles in the image between neighbours' ways; each vehicle counts as two comparisons."""
+        pairs = self._aside
+        if pairs is None or not len(pairs.here):
+            return np.empty(0)
+        turn, _ = pairs.difference(found.fit.xy * np.exp(self._unit - x[HEIGHT]), found.own_headings)
+        good = found.fit.good[pairs.here] & found.fit.good[pairs.there]
+        turn = np.where(good, turn, 0.0) * self._pixel_turn(x, found)[pairs.here]
+        turn = turn / self._aside_sigma / PARALLEL_CAUCHY
+        robust = PARALLEL_CAUCHY * np.sign(turn) * np.sqrt(np.log1p(turn**2))
+        return np.asarray(robust / np.sqrt(max(len(turn) / (2.0 * len(self.group)), 1.0)))
+
+    def _priors(self, x: Array) -> Array:
+        cars = FLEET_COMMON**2 * np.ones((3, 3)) + FLEET_OWN**2 * np.eye(3)
+        focal, focal_sigma = 0.0, FOCAL_SIGMA
+        if self._focal_px is not None:
+            focal, focal_sigma = np.log(self._focal_px / self.image_size[0]), KNOWN_FOCAL_SIGMA
+        return np.concatenate(
+            (
+                np.linalg.solve(np.linalg.cholesky(cars), x[4:7]),
+                x[7:10] / GROUP_FLEET,
+                x[MARGIN] / MARGIN_SIGMA_PX,
+                [
+                    (x[ROOF] - ROOF_MEAN) / ROOF_SIGMA,
+                    x[ROLL] / ROLL_SIGMA_RAD,
+                    (x[HEIGHT] - np.log(HEIGHT_MEAN_M)) / HEIGHT_SIGMA,
+                    (x[FOCAL] - focal) / focal_sigma,
+                    (x[TILT] - TILT_MEAN_RAD) / TILT_SIGMA_RAD,
+                ],
+            )
+        )
+
+    def _known_points(self, x: Array) -> Array:
+        """(2M,) errors of the user's points in the image."""
+        if self._points is None:
+            return np.empty(0)
+        points, matrix = self._points, projection_matrix(x, self.image_size)
+        cos, sin = np.cos(x[YAW]), np.sin(x[YAW])
+        turn = np.array([[cos, sin], [-sin, cos]])
+        xy = turn @ (points.local_m - x[PLACE]).T
+        uvw = matrix[:, :2] @ xy + matrix[:, 3:]
+        depth = np.maximum(uvw[2], 0.1)
+        uv = uvw[:2] / depth
+        slope = (matrix[:2, :2, None] - uv[:, None] * matrix[2, :2, None]) / depth
+        ground = points.sigma_m * np.sqrt((slope**2).sum(axis=(0, 1)) / 2.0)
+        return np.asarray(((uv - points.pixel.T) / np.hypot(points.sigma_px, ground)).ravel())
+
+
+def _pixels_per_metre(matrix: Array, xy: Array) -> Array:
+    """(2, 2, N) slopes of pixels (first axis) with positions (second) on the road."""
+    with np.errstate(all="ignore"):
+        uvw = matrix[:, :2] @ xy + matrix[:, 3:]
+        uv = uvw[:2] / uvw[2]
+        return np.asarray((matrix[:2, :2, None] - uv[:, None] * matrix[2, :2, None]) / uvw[2])
+
+
+def _on_road(slope: Array, shown: Array) -> Array:
+    """(N,) angle on the road of ways (2, N) in the image."""
+    x = slope[1, 1] * shown[0] - slope[0, 1] * shown[1]
+    y = slope[0, 0] * shown[1] - slope[1, 0] * shown[0]
+    area = slope[0, 0] * slope[1, 1] - slope[0, 1] * slope[1, 0]
+    return np.asarray(np.arctan2(np.sign(area) * y, np.sign(area) * x))
+
+
+def _pseudo_huber(residual: Array) -> Array:
+    """Signed roots of the loss that grows like a line beyond `START_LOSS`."""
+    square = np.sqrt(1.0 + (residual / START_LOSS) ** 2) - 1.0
+    return np.asarray(np.sign(residual) * START_LOSS * np.sqrt(2.0 * square))

@@ -1,0 +1,254 @@
+"""`geoorbit calibrate`: a camera's calibration from the traffic it sees, without any point."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from geoorbit_ros.cli.inputs import (
+    CameraInfoOption,
+    ClassesOption,
+    ClassNamesOption,
+    ColumnsOption,
+    DurationOption,
+    ImageSizeOption,
+    MinScoreOption,
+    ModelOption,
+    StrictOption,
+    parse_datum,
+    parse_names,
+    read_options,
+    stated_image_size,
+    with_image_size,
+)
+from geoorbit_ros.core.errors import NoTrafficError, ParameterError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from geoorbit_ros.calibration.control_points import ControlPoints
+    from geoorbit_ros.calibration.datum import Datum
+    from geoorbit_ros.calibration.lens import Lens
+    from geoorbit_ros.calibration.traffic.estimate import TrafficCalibration
+    from geoorbit_ros.calibration.traffic.model import KnownPoints
+    from geoorbit_ros.core.input_report import InputReport
+    from geoorbit_ros.core.tables import Frames
+    from geoorbit_ros.storage.tracks.cleaning import ReadOptions
+
+PICTURE = "calibration.png"
+"""Name of the picture, beside the calibration."""
+
+
+def calibrate(
+    out: Annotated[Path, typer.Option("--out", help="Where the calibration goes: a CSV.")],
+    source: Annotated[
+        str | None,
+        typer.Argument(help="Video file, address of a stream, folder of images, or scene:NAME."),
+    ] = None,
+    tracks: Annotated[
+        Path | None,
+        typer.Option("--tracks", help="Tracked boxes in place of images; formats as for lanes."),
+    ] = None,
+    image_size: ImageSizeOption = None,
+    near: Annotated[
+        str | None,
+        typer.Option("--near", metavar="LAT,LON", help="Where the camera stands, roughly."),
+    ] = None,
+    points: Annotated[
+        Path | None,
+        typer.Option("--points", help="Control points that you know, even one to three."),
+    ] = None,
+    camera_info: CameraInfoOption = None,
+    image: Annotated[
+        str | None,
+        typer.Option("--image", help="Image of the camera, for the picture."),
+    ] = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option("--picture", help=f"Where the picture goes; default: {PICTURE} beside OUT."),
+    ] = None,
+    model: ModelOption = None,
+    class_names: ClassNamesOption = "",
+    min_score: MinScoreOption = 0.25,
+    duration: DurationOption = None,
+    fps: Annotated[
+        float | None,
+        typer.Option("--fps", min=0.01, help="Images per second, where nothing says so."),
+    ] = None,
+    columns: ColumnsOption = None,
+    classes: ClassesOption = "coco",
+    strict: StrictOption = False,
+) -> None:
+    """Calibrate a camera from its traffic: focal length, tilt, roll, height and scale.
+
+    A minute of traffic does, five are better. The scale is that of vehicles' usual sizes. Look at
+    the picture: the green boxes must stand on the road like the vehicles do.
+
+    Example: [bold]geoorbit calibrate north.mp4 --near 43.07,-89.40 --out calibration.csv[/bold]
+    """
+    from geoorbit_ros.calibration.control_point_writer import write_control_points
+    from geoorbit_ros.calibration.traffic.control_grid import control_grid
+    from geoorbit_ros.calibration.traffic.estimate import calibrate_from_traffic
+    from geoorbit_ros.cli.console import console, print_remarks, status
+    from geoorbit_ros.report.image_overlay import write_image
+    from geoorbit_ros.report.traffic_calibration import draw_traffic_calibration
+
+    if (source is None) == (tracks is None):
+        found = "neither" if source is None else "both"
+        raise ParameterError("SOURCE and option --tracks", found, "exactly one of them")
+    picture = picture or out.parent / PICTURE
+    if picture.suffix.lower() not in (".png", ".jpg", ".jpeg"):
+        raise ParameterError("option --picture", str(picture), "a name that ends in .png or .jpg")
+    origin = parse_datum(near)
+    if tracks is not None:
+        options = read_options(fps, columns, classes, strict)
+        frames, size, report = _read(tracks, image_size, points, options)
+        print_remarks(report)
+        view = None
+    else:
+        assert source is not None
+        frames, size, view = _look(source, fps, duration, model, class_names, min_score)
+    if image is not None:
+        from geoorbit_ros.cli.images import first_view
+
+        view = first_view(image)
+    if view is not None and view.shape[1::-1] != size:
+        shown = f"{view.shape[1]}x{view.shape[0]}"
+        raise ParameterError("option --image", shown, f"{size[0]}x{size[1]}, as the tracks")
+    lens, known, datum = _given(points, camera_info, origin, size, strict)
+    with status(f"fitting a camera to {len(frames)} frames"):
+        camera = calibrate_from_traffic(frames, size, lens=lens, points=known)
+        grid = control_grid(camera, datum, str(out))
+    write_control_points(out, grid, _comments(camera, datum, known is not None))
+    write_image(picture, draw_traffic_calibration(camera, grid, view))
+    for sentence in sentences(camera, grid, known):
+        console.print(f" {sentence}", soft_wrap=True)
+    console.print(f" Wrote {out} and {picture}: look at the picture.", soft_wrap=True)
+
+
+def sentences(
+    camera: TrafficCalibration, grid: ControlPoints, known: KnownPoints | None
+) -> list[str]:
+    """What was found, and what would make it surer."""
+    from geoorbit_ros.calibration.traffic.model import ROLL, TILT
+
+    (focal, focal_s), (height, height_s) = camera.focal_px, camera.height_m
+    (view, view_s), (tilt, tilt_s) = camera.field_of_view_deg, camera.degrees(TILT)
+    roll, roll_s = camera.degrees(ROLL)
+    scale = grid.facts.scale_sigma
+    found = [
+        f"From {camera.vehicles} of {len(camera.samples.group)} vehicles:",
+        f"  focal length {focal:.0f} ± {focal_s:.0f} px (field of view {view:.1f} ± {view_s:.1f}°)",
+        f"  tilt {tilt:.1f} ± {tilt_s:.1f}° below the horizontal, roll {roll:.1f} ± {roll_s:.1f}°",
+        f"  height {height:.1f} ± {height_s:.1f} m; distances ± {100 * scale:.1f} %",
+        f"Lens: {camera.lens_sentence}.",
+    ]
+    surer = []
+    if len(camera.samples.group) < 60:
+        surer.append("more traffic")
+    if focal_s > 0.03 * focal:
+        surer.append("the focal length (--camera-info)")
+    if known is None:
+        surer.append("two points or more that you know, far apart along the road (--points)")
+    if surer:
+        found.append("What would make it surer: " + "; ".join(surer) + ".")
+    if grid.datum is None:
+        found.append(
+            "Nobody said where the camera stands: give --near LAT,LON, or --datum to the commands "
+            "that read the file."
+        )
+    elif known is None:
+        found.append("The file's north is where the camera looks: its true heading is not known.")
+    return found
+
+
+def _comments(camera: TrafficCalibration, datum: Datum | None, placed: bool) -> list[str]:
+    lines = [f"from traffic: {camera.vehicles} vehicles; computed points, none was surveyed"]
+    if not placed:
+        lines.append("origin below the camera; y or north is where the camera looks")
+    return lines
+
+
+def _read(
+    tracks: Path, image_size: str | None, points: Path | None, options: ReadOptions
+) -> tuple[Frames, tuple[int, int], InputReport]:
+    """Frames of a track file, the image size, and what is to be said about it."""
+    from geoorbit_ros.cli.console import status
+    from geoorbit_ros.cli.inputs import ASSUMED_SIZE
+    from geoorbit_ros.storage.tracks.reader import read_tracks
+
+    stated = None if points is None else stated_image_size(points)
+    options = with_image_size(image_size, options, stated)
+    with status(f"reading {tracks}"):
+        frames, report = read_tracks(tracks, options)
+    return frames, report.image_size or ASSUMED_SIZE, report
+
+
+def _look(
+    source: str,
+    fps: float | None,
+    duration_s: float | None,
+    model: Path | None,
+    class_names: str,
+    min_score: float,
+) -> tuple[Frames, tuple[int, int], NDArray[np.uint8]]:
+    """Tracks of the vehicles in a film, its size, and the image with the most of them."""
+    from geoorbit_ros.cli.images import ImageOptions, shown_images
+    from geoorbit_ros.cli.resume import prepared_run
+    from geoorbit_ros.core.tables import join_frames
+    from geoorbit_ros.detection.detector import DetectorSettings
+    from geoorbit_ros.storage.frames.source import LeftOut
+    from geoorbit_ros.tracking.parameters import TrackerParameters
+    from geoorbit_ros.tracking.tracker import make_tracker
+
+    settings = DetectorSettings(min_score, class_names=parse_names(class_names))
+    options = ImageOptions(fps, duration_s, None, LeftOut(), None, 0.0)
+    found, tracker, view, most = [], None, None, -1
+    with prepared_run(source, Path(), options, model, settings, resume=None) as (images, run):
+        for stamp_ns, image, boxes in run.boxes(shown_images(images, duration_s, "finding vehicles")):
+            if tracker is None:
+                height, width = image.shape[:2]
+                tracker = make_tracker(
+                    parameters=TrackerParameters(image_width=width, image_height=height)
+                )
+            found.append((stamp_ns, tracker.update(stamp_ns, boxes)))
+            if len(boxes) > most:
+                view, most = image.copy(), len(boxes)
+    if view is None:
+        raise NoTrafficError(source, "no images", "at least one")
+    return join_frames(found), (view.shape[1], view.shape[0]), view
+
+
+def _given(
+    points: Path | None,
+    camera_info: Path | None,
+    near: Datum | None,
+    size: tuple[int, int],
+    strict: bool,
+) -> tuple[Lens | None, KnownPoints | None, Datum | None]:
+    """The lens and the points that the user knows, and the frame's origin."""
+    import numpy as np
+
+    from geoorbit_ros.calibration.camera_info import read_camera_info
+    from geoorbit_ros.calibration.control_point_file import read_control_points
+    from geoorbit_ros.calibration.plane_fit import GROUND_SIGMA_M, PIXEL_SIGMA
+    from geoorbit_ros.calibration.traffic.model import KnownPoints
+
+    lens = None if camera_info is None else read_camera_info(camera_info).scaled(size)
+    if points is None:
+        return lens, None, near
+    read = read_control_points(points, near, image_size=size, strict=strict, few=True)
+    if not len(read):
+        raise ParameterError("option --points", f"{points} without a point", "at least one")
+    lens = lens or read.facts.lens
+    pixel = read.pixel if lens is None else lens.undistort(read.pixel)
+
+    def sigma(given: NDArray[np.float64] | None, default: float) -> NDArray[np.float64]:
+        values = np.full(len(read), default) if given is None else given
+        return np.where(np.isfinite(values), values, default)
+
+    sigma_px, sigma_m = sigma(read.sigma_px, PIXEL_SIGMA), sigma(read.sigma_m, GROUND_SIGMA_M)
+    return lens, KnownPoints(pixel, read.local_m, sigma_px, sigma_m), read.datum
