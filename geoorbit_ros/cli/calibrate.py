@@ -23,6 +23,7 @@ from geoorbit_ros.cli.inputs import (
     stated_image_size,
     with_image_size,
 )
+from geoorbit_ros.cli.place_on_map import Whereabouts, parse_compass, place_on_map
 from geoorbit_ros.core.errors import NoTrafficError, ParameterError
 
 if TYPE_CHECKING:
@@ -56,6 +57,18 @@ def calibrate(
     near: Annotated[
         str | None,
         typer.Option("--near", metavar="LAT,LON", help="Where the camera stands, roughly."),
+    ] = None,
+    road_map: Annotated[
+        Path | None,
+        typer.Option("--map", help="Map to find the place on: OpenStreetMap extract or network."),
+    ] = None,
+    near_sigma: Annotated[
+        float,
+        typer.Option("--near-sigma", min=0.1, max=1000.0, help="How exact --near is, metres."),
+    ] = 50.0,
+    looks: Annotated[
+        str | None,
+        typer.Option("--looks", help="Where the camera looks, roughly: NE, or degrees."),
     ] = None,
     points: Annotated[
         Path | None,
@@ -103,6 +116,7 @@ def calibrate(
     if picture.suffix.lower() not in (".png", ".jpg", ".jpeg"):
         raise ParameterError("option --picture", str(picture), "a name that ends in .png or .jpg")
     origin = parse_datum(near)
+    where = _where(road_map, origin, near_sigma, looks, points)
     if tracks is not None:
         options = read_options(fps, columns, classes, strict)
         frames, size, report = _read(tracks, image_size, points, options)
@@ -122,15 +136,40 @@ def calibrate(
     with status(f"fitting a camera to {len(frames)} frames"):
         camera = calibrate_from_traffic(frames, size, lens=lens, points=known)
         grid = control_grid(camera, datum, str(out))
-    write_control_points(out, grid, _comments(camera, datum, known is not None))
+    placed, said = known is not None, list[str]()
+    if where is not None:
+        with status("looking for the road on the map"):
+            on_map, said = place_on_map(grid, frames, size, where)
+        placed, grid = on_map is not grid, on_map
+    write_control_points(out, grid, _comments(camera, placed))
     write_image(picture, draw_traffic_calibration(camera, grid, view))
-    for sentence in sentences(camera, grid, known):
+    for sentence in [*sentences(camera, grid, placed, known is not None), *said]:
         console.print(f" {sentence}", soft_wrap=True)
     console.print(f" Wrote {out} and {picture}: look at the picture.", soft_wrap=True)
 
 
+def _where(
+    road_map: Path | None,
+    near: Datum | None,
+    near_sigma_m: float,
+    looks: str | None,
+    points: Path | None,
+) -> Whereabouts | None:
+    """What is said of the place on a map; None without a map."""
+    looks_deg = parse_compass(looks)
+    if road_map is None:
+        if looks is not None:
+            raise ParameterError("option --looks", looks, "with --map")
+        return None
+    if points is not None:
+        raise ParameterError("option --map", "--points too", "one: points say where they are")
+    if near is None:
+        raise ParameterError("option --map", "no --near", "--near LAT,LON: where the camera is")
+    return Whereabouts(road_map, near, near_sigma_m, looks_deg)
+
+
 def sentences(
-    camera: TrafficCalibration, grid: ControlPoints, known: KnownPoints | None
+    camera: TrafficCalibration, grid: ControlPoints, placed: bool, with_points: bool
 ) -> list[str]:
     """What was found, and what would make it surer."""
     from geoorbit_ros.calibration.traffic.model import ROLL, TILT
@@ -151,7 +190,7 @@ def sentences(
         surer.append("more traffic")
     if focal_s > 0.03 * focal:
         surer.append("the focal length (--camera-info)")
-    if known is None:
+    if not with_points:
         surer.append("two points or more that you know, far apart along the road (--points)")
     if surer:
         found.append("What would make it surer: " + "; ".join(surer) + ".")
@@ -160,12 +199,12 @@ def sentences(
             "Nobody said where the camera stands: give --near LAT,LON, or --datum to the commands "
             "that read the file."
         )
-    elif known is None:
+    elif not placed:
         found.append("The file's north is where the camera looks: its true heading is not known.")
     return found
 
 
-def _comments(camera: TrafficCalibration, datum: Datum | None, placed: bool) -> list[str]:
+def _comments(camera: TrafficCalibration, placed: bool) -> list[str]:
     lines = [f"from traffic: {camera.vehicles} vehicles; computed points, none was surveyed"]
     if not placed:
         lines.append("origin below the camera; y or north is where the camera looks")
@@ -208,7 +247,9 @@ def _look(
     options = ImageOptions(fps, duration_s, None, LeftOut(), None, 0.0)
     found, tracker, view, most = [], None, None, -1
     with prepared_run(source, Path(), options, model, settings, resume=None) as (images, run):
-        for stamp_ns, image, boxes in run.boxes(shown_images(images, duration_s, "finding vehicles")):
+        for stamp_ns, image, boxes in run.boxes(
+            shown_images(images, duration_s, "finding vehicles")
+        ):
             if tracker is None:
                 height, width = image.shape[:2]
                 tracker = make_tracker(

@@ -41,6 +41,9 @@ SAME_M = 1.5
 """Candidates whose lanes lie closer than this are the same place."""
 UNLIKELY = 6.0
 """Candidates whose log-likelihood is lower by this are dropped: one in 400."""
+CLEAR_SHARE = 0.95
+"""A place is taken when it is as likely as this. Chosen: one wrong camera of twenty is found by
+looking at the map, more would not be looked for."""
 SURE_ALONG_M, SURE_ACROSS_M = 0.75, 0.3
 """1-sigma along and across the road up to which a place is sure: half of 1.5 m, which an engineer
 takes for the same place on an aerial image, and a tenth of a lane."""
@@ -103,6 +106,11 @@ class Placement:
         """Whether it is known in both directions."""
         return self.along_sigma_m <= SURE_ALONG_M and self.across_sigma_m <= SURE_ACROSS_M
 
+    @property
+    def ambiguous(self) -> bool:
+        """Whether another place fits about as well: the likeliest is then a guess."""
+        return self.best.share < CLEAR_SHARE
+
     def sentences(self) -> list[str]:
         """What a person must know before the place is used."""
         if self.sure:
@@ -121,7 +129,7 @@ class Placement:
                 f"how far along the road the camera stands is not sure: ± {self.along_sigma_m:.0f} "
                 f"m; across the road it is ± {self.across_sigma_m:.1f} m"
             )
-        if len(self.places) > 1 and self.places[0].share < 0.95:
+        if self.ambiguous:
             away = [float(np.hypot(*(p.shift_m - self.best.shift_m))) for p in self.places]
             said.append(
                 f"{len(self.places)} places fit; the likeliest has {100 * self.best.share:.0f} %, "

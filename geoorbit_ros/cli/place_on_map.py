@@ -1,0 +1,138 @@
+"""Lays a camera that was calibrated from its traffic on a map: `geoorbit calibrate --map`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from geoorbit_ros.core.errors import ParameterError
+
+if TYPE_CHECKING:
+    from geoorbit_ros.calibration.control_points import ControlPoints
+    from geoorbit_ros.calibration.datum import Datum
+    from geoorbit_ros.core.tables import Frames
+    from geoorbit_ros.mapcheck.placement import Placement
+    from geoorbit_ros.roadnet.network import RoadNetwork
+
+COMPASS = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
+SHOWN_PLACES = 4
+"""So many of the places that fit are named."""
+
+
+@dataclass(frozen=True, slots=True)
+class Whereabouts:
+    """What a person says about where a camera is.
+
+    Attributes:
+        road_map: OpenStreetMap extract or SUMO network.
+        near: Where the camera stands, roughly.
+        near_sigma_m: 1-sigma of that.
+        looks_deg: Where it looks, clockwise from north, within some 30 degrees; None: not said.
+    """
+
+    road_map: Path
+    near: Datum
+    near_sigma_m: float
+    looks_deg: float | None
+
+
+def parse_compass(text: str | None) -> float | None:
+    """Degrees clockwise from north of `NE` or `45`.
+
+    Raises:
+        ParameterError: Neither.
+    """
+    if text is None:
+        return None
+    if text.upper() in COMPASS:
+        return 45.0 * COMPASS.index(text.upper())
+    try:
+        degrees = float(text)
+    except ValueError:
+        degrees = float("nan")
+    if not -360.0 <= degrees <= 360.0:
+        expected = f"{', '.join(COMPASS)}, or degrees clockwise from north"
+        raise ParameterError("option --looks", f"'{text}'", expected)
+    return degrees % 360.0
+
+
+def place_on_map(
+    points: ControlPoints, frames: Frames, image_size: tuple[int, int], where: Whereabouts
+) -> tuple[ControlPoints, list[str]]:
+    """Control points with their true places, and what a person must know about it.
+
+    Where several places fit about equally well, the points stay where they are, and the places are
+    named.
+
+    Args:
+        points: In a frame that begins below the camera, y ahead.
+        frames: The traffic.
+        image_size: (width, height) in pixels.
+        where: The map, and what is known.
+
+    Raises:
+        NoTrafficError: Too little traffic for lanes.
+        RoadNetworkError: A map that can't be used, or that has no road like this one near.
+    """
+    from geoorbit_ros.calibration.box_projector import BoxProjector
+    from geoorbit_ros.calibration.homography import fit_homography
+    from geoorbit_ros.lanes.estimators.estimator import make_estimator
+    from geoorbit_ros.lanes.mapping.mapper import LaneMapper
+    from geoorbit_ros.lanes.pipeline import map_blocks, project_blocks
+    from geoorbit_ros.mapcheck.placement import place_lanes
+    from geoorbit_ros.mapcheck.placement_fit import RoughPlace
+
+    network = _network(where)
+    projector = BoxProjector(fit_homography(points), image_size)
+    mapper = LaneMapper(make_estimator("curvilinear"))
+    lane_map = map_blocks(project_blocks(frames, projector), mapper)
+    rough = RoughPlace(
+        near_m=np.zeros(2),  # the network is read with its origin there
+        camera_m=np.zeros(2),
+        near_sigma_m=where.near_sigma_m,
+        scale_sigma=max(points.facts.scale_sigma, 0.01),
+        turn_rad=None if where.looks_deg is None else -np.radians(where.looks_deg),
+    )
+    found = place_lanes(lane_map.lanes, network, rough)
+    said = found.sentences()
+    if found.ambiguous:
+        return points, [*said, *_named(found, where.near)]
+    best = found.best
+    moved = replace(
+        points,
+        local_m=best.points(points.local_m),
+        datum=where.near,
+        sigma_m=None if points.sigma_m is None else best.scale * points.sigma_m,
+        facts=replace(
+            points.facts,
+            scale_sigma=min(points.facts.scale_sigma, float(np.sqrt(best.covariance[3, 3]))),
+        ),
+    )
+    looks_deg = (-np.degrees(best.turn_rad)) % 360.0
+    return moved, [*said, f"the camera looks to {looks_deg:.0f}° (clockwise from north)"]
+
+
+def _network(where: Whereabouts) -> RoadNetwork:
+    from geoorbit_ros.roadnet.map_build import build_from_osm
+    from geoorbit_ros.roadnet.network import load_network
+    from geoorbit_ros.roadnet.network_file import is_network
+
+    if is_network(where.road_map):
+        return load_network(where.road_map, where.near)
+    with TemporaryDirectory() as folder:
+        return build_from_osm(where.road_map, Path(folder), where.near).network
+
+
+def _named(found: Placement, datum: Datum) -> list[str]:
+    """The places that fit, for people to choose from."""
+    places = found.places[:SHOWN_PLACES]
+    spots = np.array([place.points(np.zeros((1, 2)))[0] for place in places])
+    return [
+        f"{100 * place.share:.0f} %: the camera at {latitude:.6f},{longitude:.6f}, looking to "
+        f"{(-np.degrees(place.turn_rad)) % 360.0:.0f}°"
+        for place, (latitude, longitude) in zip(places, datum.to_geodetic(spots), strict=True)
+    ]
