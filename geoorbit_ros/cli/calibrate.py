@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from geoorbit_ros.calibration.datum import Datum
     from geoorbit_ros.calibration.lens import Lens
     from geoorbit_ros.calibration.traffic.estimate import TrafficCalibration
-    from geoorbit_ros.calibration.traffic.model import KnownPoints
+    from geoorbit_ros.calibration.traffic.parameters import KnownPoints
     from geoorbit_ros.core.input_report import InputReport
     from geoorbit_ros.core.tables import Frames
     from geoorbit_ros.storage.tracks.cleaning import ReadOptions
@@ -122,7 +122,7 @@ def calibrate(
     with status(f"fitting a camera to {len(frames)} frames"):
         camera = calibrate_from_traffic(frames, size, lens=lens, points=known)
         grid = control_grid(camera, datum, str(out))
-    write_control_points(out, grid, _comments(camera, datum, known is not None))
+    write_control_points(out, grid, _comments(camera, known is not None))
     write_image(picture, draw_traffic_calibration(camera, grid, view))
     for sentence in sentences(camera, grid, known):
         console.print(f" {sentence}", soft_wrap=True)
@@ -133,7 +133,7 @@ def sentences(
     camera: TrafficCalibration, grid: ControlPoints, known: KnownPoints | None
 ) -> list[str]:
     """What was found, and what would make it surer."""
-    from geoorbit_ros.calibration.traffic.model import ROLL, TILT
+    from geoorbit_ros.calibration.traffic.parameters import ROLL, TILT
 
     (focal, focal_s), (height, height_s) = camera.focal_px, camera.height_m
     (view, view_s), (tilt, tilt_s) = camera.field_of_view_deg, camera.degrees(TILT)
@@ -165,7 +165,7 @@ def sentences(
     return found
 
 
-def _comments(camera: TrafficCalibration, datum: Datum | None, placed: bool) -> list[str]:
+def _comments(camera: TrafficCalibration, placed: bool) -> list[str]:
     lines = [f"from traffic: {camera.vehicles} vehicles; computed points, none was surveyed"]
     if not placed:
         lines.append("origin below the camera; y or north is where the camera looks")
@@ -208,7 +208,9 @@ def _look(
     options = ImageOptions(fps, duration_s, None, LeftOut(), None, 0.0)
     found, tracker, view, most = [], None, None, -1
     with prepared_run(source, Path(), options, model, settings, resume=None) as (images, run):
-        for stamp_ns, image, boxes in run.boxes(shown_images(images, duration_s, "finding vehicles")):
+        for stamp_ns, image, boxes in run.boxes(
+            shown_images(images, duration_s, "finding vehicles")
+        ):
             if tracker is None:
                 height, width = image.shape[:2]
                 tracker = make_tracker(
@@ -235,7 +237,7 @@ def _given(
     from geoorbit_ros.calibration.camera_info import read_camera_info
     from geoorbit_ros.calibration.control_point_file import read_control_points
     from geoorbit_ros.calibration.plane_fit import GROUND_SIGMA_M, PIXEL_SIGMA
-    from geoorbit_ros.calibration.traffic.model import KnownPoints
+    from geoorbit_ros.calibration.traffic.parameters import KnownPoints
 
     lens = None if camera_info is None else read_camera_info(camera_info).scaled(size)
     if points is None:
