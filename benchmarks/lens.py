@@ -39,7 +39,7 @@ from geoorbit_ros.scenes.simulate import SceneRun, simulate
 from geoorbit_ros.scenes.traffic import simulate_traffic
 
 SCENES = ("straight_3x3", "motorway_4x4", "curve_250m")
-FIELDS_DEG = (30.0, 45.0, 58.0)
+FIELDS_DEG = (40.0, 58.0)
 K1 = (-0.05, -0.12, -0.2, -0.28, -0.35)
 NONE, KNOWN, POINTS, PATHS, IGNORED = "no lens", "known", "from points", "from paths", "ignored"
 KINDS = (KNOWN, POINTS, PATHS, IGNORED)

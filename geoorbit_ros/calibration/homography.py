@@ -12,7 +12,14 @@ from geoorbit_ros.calibration.plane_fit import GROUND_SIGMA_M, PIXEL_SIGMA, fit_
 from geoorbit_ros.core.errors import CalibrationError
 from geoorbit_ros.core.input_report import Remark, Treatment
 
-__all__ = ["ControlResidual", "Homography", "fit_homography"]
+__all__ = [
+    "GROUND_SIGMA_M",
+    "PIXEL_SIGMA",
+    "ControlResidual",
+    "Homography",
+    "fit_homography",
+    "plane_of_images",
+]
 
 
 def plane_of_images(plane: Homography, image_size: tuple[int, int]) -> Homography:

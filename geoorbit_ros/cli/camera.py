@@ -71,13 +71,11 @@ def add(
 
     check_new_folder(out, overwrite=replace)
     check_new_camera(fleet, camera_id, replace=replace)
-    datum = datum or _known_datum(fleet, camera_id)
-    plane = load_calibration(calibration, datum, strict=strict, camera_info=camera_info)
+    named = (calibration, datum or _known_datum(fleet, camera_id))
+    plane = load_calibration(*named, strict=strict, camera_info=camera_info)
     watched = ImageOptions(None, duration, "", LeftOut(), password_file)
-    with (
-        prepared_run(source, out, watched, model, DetectorSettings(), resume=None) as (images, run),
-        atomic_output(out, overwrite=replace) as folder,
-    ):
+    prepared = prepared_run(source, out, watched, model, DetectorSettings(), resume=None)
+    with prepared as (images, run), atomic_output(out, overwrite=replace) as folder:
         job = CameraJob(camera_id, calibration, *plane, run)
         folder.mkdir()
         _show_calibration(plane[0], first_image(images), folder / CALIBRATION_IMAGE)

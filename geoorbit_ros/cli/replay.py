@@ -91,11 +91,8 @@ def replay(
     recorded_s = (camera.frames.stamp_ns[-1] - camera.frames.stamp_ns[0]) / 1e9
     print_lanes(lane_map, f"Lanes of {camera.camera_id}")
     print_remarks(camera.input_report)
-    console.print(
-        f" Replayed {len(camera.frames)} frames, {recorded_s:.1f} s, in {elapsed_s:.1f} s;"
-        f" wrote {out}",
-        soft_wrap=True,
-    )
+    said = f" Replayed {len(camera.frames)} frames, {recorded_s:.1f} s, in {elapsed_s:.1f} s;"
+    console.print(f"{said} wrote {out}", soft_wrap=True)
 
 
 def demo(

@@ -128,7 +128,7 @@ def rectify(
         seen = u * homography.matrix[2, 0] + v * homography.matrix[2, 1] > -homography.matrix[2, 2]
         if homography.lens is not None:
             (u, v), bend = homography.lens.distort_columns(np.stack((u, v)))
-            across, along = through(bend, across), through(bend, along)
+            across, along = (through(bend, move[:, None])[:, 0] for move in (across, along))
         height, width = image.shape[:2]
         low, high = BORDER_PX, np.array([width, height]) - 1.0 - BORDER_PX
         seen &= (u >= low) & (u <= high[0]) & (v >= low) & (v <= high[1])

@@ -91,7 +91,7 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
         self._fix = self.create_publisher(NavSatFix, "datum", LATCHED)
         self._fix.publish(datum_to_fix(origin, p.frame_id))
         self._on_road = 0
-        self._info = b""
+        self._info, self._lens_remarks = b"", list[str]()
         self.create_subscription(
             CameraInfo, INFO_TOPIC, self._on_camera_info, qos_profile_sensor_data, raw=True
         )
@@ -135,10 +135,12 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
             behind = behind_lens(points, lens, place)
             if behind is not points:
                 self._calibrate(behind)
-            for remark in points.report.remarks[before:]:
-                self.get_logger().warning(remark.sentence(len(points), "control points"))
+            found = points.report.remarks[before:]
+            self._lens_remarks = [r.sentence(len(points), "control points") for r in found]
         except (GeoOrbitError, RuntimeError) as error:
-            self.get_logger().warning(f"not used: {error}")
+            self._lens_remarks = [f"not used: {error}"]
+        for sentence in self._lens_remarks:
+            self.get_logger().warning(sentence)
 
     def diagnostic_values(self) -> Mapping[str, object]:
         """Reprojection error of every control point, and what became of the boxes."""
@@ -150,7 +152,7 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
         }
         counts = {f"boxes_{key}": n for key, n in asdict(self._projector.counts).items()}
         readers = self.tracks.get_subscription_count()
-        remarks = " ".join(self._sentences())
+        remarks = " ".join([*self._sentences(), *self._lens_remarks])
         return {
             "vehicles": self._on_road,
             "tracks_subscribers": readers,

@@ -34,7 +34,7 @@ def paths(
     return found
 
 
-@pytest.mark.parametrize("k1", [-0.22, -0.12])
+@pytest.mark.parametrize("k1", [-0.18, -0.12])
 def test_vehicles_on_a_straight_road_show_the_lens(k1: float) -> None:
     estimate = estimate_lens_from_paths(paths(k1), SIZE)
     assert estimate.lens is not None
