@@ -42,42 +42,51 @@ PICTURE = "calibration.png"
 """Name of the picture, beside the calibration."""
 
 
+OutOption = Annotated[Path, typer.Option("--out", help="Where the calibration goes: a CSV.")]
+CameraArgument = Annotated[
+    str | None,
+    typer.Argument(help="Video file, address of a stream, folder of images, or scene:NAME."),
+]
+TracksOption = Annotated[
+    Path | None,
+    typer.Option("--tracks", help="Tracked boxes in place of images; formats as for lanes."),
+]
+NearOption = Annotated[
+    str | None,
+    typer.Option("--near", metavar="LAT,LON", help="Where the camera stands, roughly."),
+]
+PointsOption = Annotated[
+    Path | None,
+    typer.Option("--points", help="Control points that you know, even one to three."),
+]
+PictureImageOption = Annotated[
+    str | None, typer.Option("--image", help="Image of the camera, for the picture.")
+]
+PictureOption = Annotated[
+    Path | None,
+    typer.Option("--picture", help=f"Where the picture goes; default: {PICTURE} beside OUT."),
+]
+RateOption = Annotated[
+    float | None,
+    typer.Option("--fps", min=0.01, help="Images per second, where nothing says so."),
+]
+
+
 def calibrate(
-    out: Annotated[Path, typer.Option("--out", help="Where the calibration goes: a CSV.")],
-    source: Annotated[
-        str | None,
-        typer.Argument(help="Video file, address of a stream, folder of images, or scene:NAME."),
-    ] = None,
-    tracks: Annotated[
-        Path | None,
-        typer.Option("--tracks", help="Tracked boxes in place of images; formats as for lanes."),
-    ] = None,
+    out: OutOption,
+    source: CameraArgument = None,
+    tracks: TracksOption = None,
     image_size: ImageSizeOption = None,
-    near: Annotated[
-        str | None,
-        typer.Option("--near", metavar="LAT,LON", help="Where the camera stands, roughly."),
-    ] = None,
-    points: Annotated[
-        Path | None,
-        typer.Option("--points", help="Control points that you know, even one to three."),
-    ] = None,
+    near: NearOption = None,
+    points: PointsOption = None,
     camera_info: CameraInfoOption = None,
-    image: Annotated[
-        str | None,
-        typer.Option("--image", help="Image of the camera, for the picture."),
-    ] = None,
-    picture: Annotated[
-        Path | None,
-        typer.Option("--picture", help=f"Where the picture goes; default: {PICTURE} beside OUT."),
-    ] = None,
+    image: PictureImageOption = None,
+    picture: PictureOption = None,
     model: ModelOption = None,
     class_names: ClassNamesOption = "",
     min_score: MinScoreOption = 0.25,
     duration: DurationOption = None,
-    fps: Annotated[
-        float | None,
-        typer.Option("--fps", min=0.01, help="Images per second, where nothing says so."),
-    ] = None,
+    fps: RateOption = None,
     columns: ColumnsOption = None,
     classes: ClassesOption = "coco",
     strict: StrictOption = False,
@@ -102,31 +111,34 @@ def calibrate(
     picture = picture or out.parent / PICTURE
     if picture.suffix.lower() not in (".png", ".jpg", ".jpeg"):
         raise ParameterError("option --picture", str(picture), "a name that ends in .png or .jpg")
-    origin = parse_datum(near)
     if tracks is not None:
         options = read_options(fps, columns, classes, strict)
         frames, size, report = _read(tracks, image_size, points, options)
         print_remarks(report)
         view = None
     else:
-        assert source is not None
-        frames, size, view = _look(source, fps, duration, model, class_names, min_score)
-    if image is not None:
-        from geoorbit_ros.cli.images import first_view
-
-        view = first_view(image)
-    if view is not None and view.shape[1::-1] != size:
-        shown = f"{view.shape[1]}x{view.shape[0]}"
-        raise ParameterError("option --image", shown, f"{size[0]}x{size[1]}, as the tracks")
+        frames, size, view = _look(str(source), fps, duration, model, class_names, min_score)
+    view = view if image is None else _view(image, size)
+    origin = parse_datum(near)
     lens, known, datum = _given(points, camera_info, origin, size, strict)
     with status(f"fitting a camera to {len(frames)} frames"):
         camera = calibrate_from_traffic(frames, size, lens=lens, points=known)
         grid = control_grid(camera, datum, str(out))
     write_control_points(out, grid, _comments(camera, known is not None))
     write_image(picture, draw_traffic_calibration(camera, grid, view))
-    for sentence in sentences(camera, grid, known):
-        console.print(f" {sentence}", soft_wrap=True)
-    console.print(f" Wrote {out} and {picture}: look at the picture.", soft_wrap=True)
+    said = "\n ".join(sentences(camera, grid, known))
+    console.print(f" {said}\n Wrote {out} and {picture}: look at the picture.", soft_wrap=True)
+
+
+def _view(image: str, size: tuple[int, int]) -> NDArray[np.uint8]:
+    """An image of the camera."""
+    from geoorbit_ros.cli.images import first_view
+
+    view = first_view(image)
+    if view.shape[1::-1] != size:
+        shown = f"{view.shape[1]}x{view.shape[0]}"
+        raise ParameterError("option --image", shown, f"{size[0]}x{size[1]}, as the tracks")
+    return view
 
 
 def sentences(

@@ -57,6 +57,8 @@ START_LOSS, LOSS = 1.5, 2.5
 INDEPENDENT_VEHICLES = 25.0
 """The boxes of all vehicles weigh as much as those of so many: real ones aren't boxes, and miss
 them together in the same places. Set where cameras with surveyed points lie within two sigma."""
+SIZE_BOUNDS = 0.4, 2.8
+"""Sizes stay between these shares of the usual one: a pickup is a truck of half the length."""
 OFFSET = 1e3
 """Added to the logarithm of a vehicle's determinant, so that its root exists."""
 BEYOND = 6.0
@@ -169,17 +171,29 @@ class TrafficModel:
             slope[1, 0] *= 1.0 - roof
             slope /= sigma[:, None]
             residual = (self.side - predicted) / sigma
-            weighted = slope * self._box_weight(residual, fit.good)[:, None]
-            target = residual + (slope * size[:, self.vehicle]).sum(axis=1)
-            normal = self._sums((slope[:, :, None] * weighted[:, None]).sum(axis=0)) + prior
-            vector = self._sums((weighted * target[:, None]).sum(axis=0))
-            vector += (prior * usual).sum(axis=1)
-            new = np.linalg.solve(normal.transpose(2, 0, 1), vector.T[:, :, None])[:, :, 0].T
-            new = np.clip(new, 0.4 * usual, 2.8 * usual)
+            new = self._sizes(residual, slope, fit.good, size, usual, prior)
             residual -= (slope * (new - size)[:, self.vehicle]).sum(axis=1)
             size, xy = new, fit.xy
         full = (slope[:, :, None] * slope[:, None]).sum(axis=0) * fit.good
         return Explained(fit, headings, own, size, residual, self._sums(full) + prior)
+
+    def _sizes(
+        self,
+        residual: Array,
+        slope: Array,
+        good: NDArray[np.bool_],
+        size: Array,
+        usual: Array,
+        prior: Array,
+    ) -> Array:
+        """(3, K) sizes that explain the boxes best, with what is known of them."""
+        weighted = slope * self._box_weight(residual, good)[:, None]
+        target = residual + (slope * size[:, self.vehicle]).sum(axis=1)
+        normal = self._sums((slope[:, :, None] * weighted[:, None]).sum(axis=0)) + prior
+        vector = self._sums((weighted * target[:, None]).sum(axis=0))
+        vector += (prior * usual).sum(axis=1)
+        new = np.linalg.solve(normal.transpose(2, 0, 1), vector.T[:, :, None])[:, :, 0].T
+        return np.clip(new, *(share * usual for share in SIZE_BOUNDS))
 
     def _sums(self, values: Array) -> Array:
         return np.asarray(np.add.reduceat(values, self.first, axis=-1))
