@@ -66,7 +66,7 @@ def read_control_points(
     """
     place = str(path)
     table = read_point_table(split_header(Path(path), EXPECTED), place)
-    table.keep(np.isfinite(table.values).all(axis=1), "a value that is missing or no number")
+    table.keep(np.isfinite(table.values).min(axis=1), "a value that is missing or no number")
     facts = read_facts(table.comments, place, image_size)
     _repair_pixels(table, facts.image_size or image_size)
     position = _positions(table, datum)
