@@ -169,6 +169,16 @@ def frames_from_rows(stamp_ns: NDArray[np.int64], rows: NDArray[np.void]) -> Fra
     return Frames(stamps, np.append(start, len(rows)).astype(np.int64), rows[order])
 
 
+def order_by_id(track_id: NDArray[np.int32]) -> NDArray[np.intp]:
+    """(N,) order in which the rows of each track stand together, each track's as they came."""
+    if len(track_id) > 1:
+        low = int(track_id.min())
+        if int(track_id.max()) - low <= np.iinfo(np.uint16).max:
+            # Numbers of 16 bits are sorted digit by digit, in a fifth of the time.
+            track_id = (track_id.astype(np.int64) - low).astype(np.uint16)
+    return np.argsort(track_id, kind="stable")
+
+
 def one_class_each(rows: NDArray[np.void]) -> NDArray[np.int64]:
     """(N,) classes of `PIXEL_TRACK_DTYPE` rows, in which each track has one.
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from bisect import bisect_left, bisect_right, insort
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -141,7 +143,7 @@ class _OccupiedPlaces:
     """Where and when vehicles crossed the stations of late: no other can have been there."""
 
     def __init__(self) -> None:
-        self._crossed: dict[int, list[tuple[int, float, float]]] = {}
+        self._crossed: dict[int, list[_Crossed]] = {}  # by lane, in the order of time
 
     def seen_before(self, crossings: NDArray[np.void]) -> NDArray[np.int64]:
         """Ids of vehicles that are a second track of one that was counted already.
@@ -150,30 +152,38 @@ class _OccupiedPlaces:
         counts.
         """
         twice = list[int]()
-        for row in crossings:
-            if int(row["class_id"]) in NARROW_CLASSES:
+        names = ("vehicle_id", "lane_id", "class_id", "stamp_ns", "speed_mps", "length_m")
+        rows = zip(*(crossings[name].tolist() for name in names), strict=True)
+        for vehicle_id, lane_id, class_id, at_ns, speed, length_m in rows:
+            if class_id in NARROW_CLASSES:
                 continue
-            lane = self._crossed.setdefault(int(row["lane_id"]), [])
-            at_ns, speed = int(row["stamp_ns"]), float(row["speed_mps"])
-            length_m = float(row["length_m"])
-            lane[:] = [other for other in lane if other[0] > at_ns - KEPT_NS]
-            near = [other for other in lane if abs(other[0] - at_ns) < FORGET_NS]
-            if any(_overlap(at_ns, speed, length_m, *other) for other in near):
-                twice.append(int(row["vehicle_id"]))
+            lane = self._crossed.setdefault(lane_id, [])
+            del lane[: bisect_right(lane, (at_ns - KEPT_NS, math.inf, math.inf))]
+            low = bisect_right(lane, (at_ns - FORGET_NS, math.inf, math.inf))
+            high = bisect_left(lane, (at_ns + FORGET_NS, -math.inf, -math.inf))
+            crossed = at_ns, speed, length_m if math.isfinite(length_m) else CAR_LENGTH_M
+            if _overlaps(crossed, lane[low:high]):
+                twice.append(vehicle_id)
             else:
-                lane.append((at_ns, speed, length_m))
+                insort(lane, crossed)
         return np.unique(np.array(twice, np.int64))
 
 
-def _overlap(
-    at_ns: int, speed: float, length_m: float, other_ns: int, other_speed: float, other_m: float
-) -> bool:
-    """Whether two vehicles at one line would be in one place."""
-    # The faster of the two speeds: who starts at a signal crosses the line slowly, and is gone by
-    # the time that the next one comes.
-    distance_m = (abs(at_ns - other_ns) * 1e-9 - GAP_S) * max(speed, other_speed)
-    lengths = [m if np.isfinite(m) else CAR_LENGTH_M for m in (length_m, other_m)]
-    return distance_m < LENGTH_SHARE * sum(lengths) / 2
+_Crossed = tuple[int, float, float]
+"""When a vehicle crossed a line, in nanoseconds, its speed in m/s and its length in metres."""
+
+
+def _overlaps(crossed: _Crossed, others: list[_Crossed]) -> bool:
+    """Whether at one line a vehicle would be in one place with another."""
+    at_ns, own_speed, own_m = crossed
+    for other_ns, other_speed, other_m in others:
+        # The faster of the two speeds: who starts at a signal crosses the line slowly, and is gone
+        # by the time that the next one comes.
+        speed = own_speed if own_speed > other_speed else other_speed
+        distance_m = (abs(at_ns - other_ns) * 1e-9 - GAP_S) * speed
+        if distance_m < LENGTH_SHARE * (own_m + other_m) / 2:
+            return True
+    return False
 
 
 def scale_sigma(lane: Lane, plane: RoadPlane | None) -> float:
