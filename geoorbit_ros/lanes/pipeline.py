@@ -133,11 +133,10 @@ def map_blocks(blocks: Iterable[Frames], mapper: LaneMapper, place: str = "track
     """
     frame_count, ids, classes = 0, set[int](), set[int]()
     for block in blocks:
-        for stamp_ns, rows in block.tables():
-            mapper.add(stamp_ns, rows)
+        mapper.add_block(block)
         frame_count += len(block)
-        ids.update(block.rows["track_id"].tolist())
-        classes.update(block.rows["class_id"].tolist())
+        ids.update(np.unique(block.rows["track_id"]).tolist())
+        classes.update(np.unique(block.rows["class_id"]).tolist())
     if not ids:
         found = f"{frame_count} frames without a vehicle on the road"
         raise NoTrafficError(place, found, "vehicles driving by")
