@@ -19,7 +19,7 @@ from geoorbit_ros.cli.images import (
     check_images,
     shown_images,
 )
-from geoorbit_ros.cli.inputs import DEFAULT_ESTIMATOR, CameraInput, find_lanes
+from geoorbit_ros.cli.inputs import DEFAULT_ESTIMATOR, ROAD_IMAGE, CameraInput, find_lanes
 from geoorbit_ros.cli.report import describe_method, save_report
 from geoorbit_ros.cli.resume import DetectionRun
 from geoorbit_ros.core.errors import NoTrafficError
@@ -51,8 +51,6 @@ from geoorbit_ros.tracking.parameters import TrackerParameters
 from geoorbit_ros.tracking.tracker import make_tracker
 
 TRACKS_CSV, LANES, REPORT = "tracks.csv", "lanes.geojson", "report.html"
-ROAD = "road.png"
-"""The road without vehicles, on which the painted lines were found."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -307,7 +305,7 @@ class CameraJob:
             estimator=self.estimator,
         )
         if self._road is not None:
-            write_image(folder / ROAD, self._road)
+            write_image(folder / ROAD_IMAGE, self._road)
         remarks = InputReport(str(tracks), "boxes", len(frames.rows))
         note_other_classes(remarks, frames)
         for sentence in images.remarks.sentences():

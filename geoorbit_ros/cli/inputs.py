@@ -153,8 +153,8 @@ ImageSizeOption = Annotated[
     typer.Option(
         "--image-size",
         metavar="WxH",
-        help="Size of the camera's image in pixels; default: as the bag's CameraInfo or the track "
-        "file says, else 1920x1080.",
+        help="Size of the camera's image in pixels; default: as the bag's CameraInfo, the track "
+        "file or --image says, or the road.png beside it, else 1920x1080.",
     ),
 ]
 RoadImageOption = Annotated[
@@ -207,6 +207,10 @@ UpdatePeriodOption = Annotated[
         help="Data time between two updates of the map.",
     ),
 ]
+
+
+ROAD_IMAGE = "road.png"
+"""The road without vehicles, on which painted lines were found: `geoorbit process` writes it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -346,10 +350,11 @@ def load_camera(
     options = with_image_size(image_size, options)
     with status(f"reading {source}"):
         name, topic, frames, report = _boxes(source, bag is not None, camera_id, options)
-        if image and not image_size:
+        view = image or _road_beside(source)
+        if view and not image_size:
             from geoorbit_ros.cli.images import first_view
 
-            height, width = first_view(image).shape[:2]
+            height, width = first_view(view).shape[:2]
             seen = (width, height)
             if seen != report.image_size and _reach_within(frames, seen):
                 options = replace(options, default_size=seen)
@@ -376,6 +381,12 @@ def _boxes(
     from geoorbit_ros.storage.tracks.reader import read_tracks
 
     return source.absolute().parent.name or "camera", "", *read_tracks(source, options)
+
+
+def _road_beside(source: Path) -> str | None:
+    """The image that `geoorbit process` wrote beside its tracks: it tells the size."""
+    road = source.parent / ROAD_IMAGE
+    return str(road) if source.is_file() and road.is_file() else None
 
 
 def _reach_within(frames: Frames, size: tuple[int, int]) -> bool:

@@ -26,10 +26,12 @@ from geoorbit_ros.storage.database.traffic import TrafficDatabase
 from geoorbit_ros.storage.ownership import Ownership
 from geoorbit_ros.traffic.class_schemes import named_scheme
 from geoorbit_ros.traffic.counter import Counted
+from geoorbit_ros.traffic.event_records import EventState
 from geoorbit_ros.traffic.follower import STEP_BATCHES, TrafficFollower
 from geoorbit_ros.traffic.interval_clock import NS, IntervalClock, checked_zone
-from geoorbit_ros.traffic.live import Finished, LiveTraffic, MapShelf
-from geoorbit_ros.traffic.messages import intervals_json, point_table
+from geoorbit_ros.traffic.lane_maps import MapShelf
+from geoorbit_ros.traffic.live import Finished, LiveTraffic
+from geoorbit_ros.traffic.messages import events_json, intervals_json, point_table
 
 STEP_PERIOD_S = 0.5
 """Between two looks into the database, in wall time, which changes no result. Chosen: as often as
@@ -56,10 +58,10 @@ class TrafficParameters:
 
 
 class TrafficNode(GeoOrbitNode[TrafficParameters]):
-    """Publishes `traffic/{intervals,vehicles,crossings}` and `traffic/intervals_json`.
+    """Publishes `traffic/{intervals,vehicles,crossings,events}` and two texts for people.
 
-    With a database it counts the tracks that the recorder stores there, and stores intervals and
-    vehicles beside them: after a restart it goes on with the first interval that is not stored.
+    With a database it counts the tracks that the recorder stores there, and stores intervals,
+    vehicles and events beside them: after a restart it goes on with the first that is not stored.
     Without one it counts the topics `tracks` and `lanes/geojson`.
     """
 
@@ -75,13 +77,15 @@ class TrafficNode(GeoOrbitNode[TrafficParameters]):
             p.interval_s, checked_zone(p.timezone, f"{place} 'timezone'")
         )
         self._scheme = named_scheme(p.class_scheme, f"{place} 'class_scheme'")
-        self.intervals = self.vehicles = 0
+        self.intervals = self.vehicles = self.events = 0
         self._follower: TrafficFollower | None = None
         self._tables = {
             topic: self.create_publisher(PointCloud2, f"traffic/{topic}", LATCHED_ALL)
-            for topic in ("intervals", "vehicles", "crossings")
+            for topic in ("intervals", "vehicles", "crossings", "events")
         }
         self._json: Publisher = self.create_publisher(String, "traffic/intervals_json", LATCHED)
+        self._now: Publisher = self.create_publisher(String, "traffic/events_json", LATCHED)
+        self._told_now = ""
         if p.database:
             if not self._camera:
                 found = "nothing, in the root namespace"
@@ -103,6 +107,8 @@ class TrafficNode(GeoOrbitNode[TrafficParameters]):
         return {
             "intervals": self.intervals,
             "vehicles": self.vehicles,
+            "events": self.events,
+            "events_now": len(live.watch.lasting) if live and live.watch else 0,
             "lanes": len(used.lanes) if used else "not received yet",
             "map_stamp_s": used.map_ns / NS if used else "",
             "newest_s": live.newest_ns / NS if live and live.newest_ns else "",
@@ -155,6 +161,7 @@ class TrafficNode(GeoOrbitNode[TrafficParameters]):
     def _publish_new(self) -> None:
         finished = self._live.finished()
         self._publish(self._live.gone(), finished)
+        self._publish_events(self._live, self._live.events())
 
     def _step(self) -> None:
         """Count what is stored; while more may wait, at every turn of the executor."""
@@ -164,6 +171,8 @@ class TrafficNode(GeoOrbitNode[TrafficParameters]):
             self._publish(told.counted, told.finished)
             self.diagnostics.received += told.batches
             live = self._follower.live
+            if live is not None:
+                self._publish_events(live, told.events)
             if self.p.retention_days > 0.0 and live is not None and live.newest_ns:
                 before_ns = live.newest_ns - round(self.p.retention_days * DAY_NS)
                 self._database.prune_traffic(before_ns)
@@ -189,6 +198,20 @@ class TrafficNode(GeoOrbitNode[TrafficParameters]):
         if finished:
             text = intervals_json(finished[-1], self._scheme, self._interval_clock, self._camera)
             self._json.publish(encode_string(text))
+
+    def _publish_events(self, live: LiveTraffic, rows: NDArray[np.void]) -> None:
+        """What was told of events, and all that last now, where that has changed."""
+        if len(rows):
+            stamp_ns = int(rows["stamp_ns"].max())
+            table = encode_table(stamp_ns, self.p.frame_id, point_table(rows))
+            self._tables["events"].publish(table)
+            self.events += int(np.count_nonzero(rows["state"] == EventState.BEGAN))
+        if live.watch is None:
+            return
+        text = events_json(live.watch.lasting, self._interval_clock, self._camera)
+        if text != self._told_now:
+            self._now.publish(encode_string(text))
+            self._told_now = text
 
 
 def main(args: Sequence[str] | None = None) -> int:

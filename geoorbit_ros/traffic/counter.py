@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect_left, bisect_right, insort
+from bisect import bisect_left, insort
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -19,7 +19,7 @@ from geoorbit_ros.traffic.motion_fit import VEHICLE_SCALE
 from geoorbit_ros.traffic.passages import classes, find_passages
 from geoorbit_ros.traffic.records import CROSSING_DTYPE, NO_LANE, PASSAGE_DTYPE
 from geoorbit_ros.traffic.road_coordinates import RoadCoordinates
-from geoorbit_ros.traffic.stations import find_crossings, place_stations
+from geoorbit_ros.traffic.stations import StationPlace, find_crossings, place_stations
 from geoorbit_ros.traffic.vehicle_paths import PathCollector, Paths
 
 Array = NDArray[np.float64]
@@ -29,7 +29,12 @@ LENGTH_SHARE, GAP_S = 0.8, 0.1
 drive in 0.1 s are one with two ids. Chosen: lengths are known within a fifth, and no driver keeps
 a tenth of a second; more takes a queue's close followers for one."""
 NARROW_CLASSES = (BICYCLE, MOTORCYCLE)
-"""Riders share a lane side by side: none of them is another's second id."""
+"""Riders share a lane side by side."""
+RIDER_M = 2.0
+"""Length of a rider of whom none is known."""
+RIDER_APART_M = 0.8
+"""Riders side by side are farther apart, from middle to middle. Chosen: the width of handlebars;
+more takes two who ride together for one, less takes one with two ids for two."""
 CAR_LENGTH_M = 4.5
 """Length of a vehicle of which none is known. Chosen: a car's."""
 FORGET_NS = 20_000_000_000
@@ -66,13 +71,19 @@ class TrafficCounter:
     Args:
         lanes: The lanes, in the tracks' frame; at least one.
         plane: The calibration, for the error that is common to all speeds; None: it is exact.
+        place: Where the counting stations are; None: where traffic is seen best.
 
     Attributes:
         vehicles: Vehicles so far that are gone.
     """
 
-    def __init__(self, lanes: Sequence[Lane], plane: RoadPlane | None = None) -> None:
-        self._plane = plane
+    def __init__(
+        self,
+        lanes: Sequence[Lane],
+        plane: RoadPlane | None = None,
+        place: StationPlace | None = None,
+    ) -> None:
+        self._plane, self._place = plane, place
         self._paths = PathCollector()
         self._places = _OccupiedPlaces()
         self.vehicles = 0
@@ -84,7 +95,7 @@ class TrafficCounter:
         self.lanes = roads.lanes
         self._matcher = LaneMatcher(roads)
         self._lane_id = np.array([*(lane.lane_id for lane in lanes), NO_LANE], np.int64)
-        self.stations = place_stations(lanes)
+        self.stations = place_stations(lanes, self._place)
         self._scale_sigma = np.array([scale_sigma(lane, self._plane) for lane in lanes])
 
     def add(self, frames: Frames) -> None:
@@ -139,11 +150,17 @@ class TrafficCounter:
         return table
 
 
+_Crossed = tuple[int, float, float, float]
+"""When a vehicle crossed a line, in nanoseconds, its speed in m/s, its length in metres, and how
+far left of the lane's middle it was."""
+
+
 class _OccupiedPlaces:
     """Where and when vehicles crossed the stations of late: no other can have been there."""
 
     def __init__(self) -> None:
-        self._crossed: dict[int, list[_Crossed]] = {}  # by lane, in the order of time
+        # By lane and whether they ride, in the order of time.
+        self._crossed: dict[tuple[int, bool], list[_Crossed]] = {}
 
     def seen_before(self, crossings: NDArray[np.void]) -> NDArray[np.int64]:
         """Ids of vehicles that are a second track of one that was counted already.
@@ -152,31 +169,32 @@ class _OccupiedPlaces:
         counts.
         """
         twice = list[int]()
-        names = ("vehicle_id", "lane_id", "class_id", "stamp_ns", "speed_mps", "length_m")
-        rows = zip(*(crossings[name].tolist() for name in names), strict=True)
-        for vehicle_id, lane_id, class_id, at_ns, speed, length_m in rows:
-            if class_id in NARROW_CLASSES:
-                continue
-            lane = self._crossed.setdefault(lane_id, [])
-            del lane[: bisect_right(lane, (at_ns - KEPT_NS, math.inf, math.inf))]
-            low = bisect_right(lane, (at_ns - FORGET_NS, math.inf, math.inf))
-            high = bisect_left(lane, (at_ns + FORGET_NS, -math.inf, -math.inf))
-            crossed = at_ns, speed, length_m if math.isfinite(length_m) else CAR_LENGTH_M
-            if _overlaps(crossed, lane[low:high]):
+        names = ("stamp_ns", "speed_mps", "length_m", "offset_m")
+        columns = [crossings[name].tolist() for name in ("vehicle_id", "lane_id", "class_id")]
+        rows = zip(*columns, *(crossings[name].tolist() for name in names), strict=True)
+        for vehicle_id, lane_id, class_id, at_ns, speed, length_m, left_m in rows:
+            rides = class_id in NARROW_CLASSES
+            if not math.isfinite(length_m):
+                length_m = RIDER_M if rides else CAR_LENGTH_M
+            lane = self._crossed.setdefault((lane_id, rides), [])
+            del lane[: bisect_left(lane, (at_ns - KEPT_NS + 1,))]
+            near = lane[
+                bisect_left(lane, (at_ns - FORGET_NS + 1,)) : bisect_left(lane, (at_ns + FORGET_NS,))
+            ]
+            if rides:
+                near = [other for other in near if abs(other[3] - left_m) < RIDER_APART_M]
+            crossed = at_ns, speed, length_m, left_m
+            if _overlaps(crossed, near):
                 twice.append(vehicle_id)
             else:
                 insort(lane, crossed)
         return np.unique(np.array(twice, np.int64))
 
 
-_Crossed = tuple[int, float, float]
-"""When a vehicle crossed a line, in nanoseconds, its speed in m/s and its length in metres."""
-
-
 def _overlaps(crossed: _Crossed, others: list[_Crossed]) -> bool:
     """Whether at one line a vehicle would be in one place with another."""
-    at_ns, own_speed, own_m = crossed
-    for other_ns, other_speed, other_m in others:
+    at_ns, own_speed, own_m, _ = crossed
+    for other_ns, other_speed, other_m, _ in others:
         # The faster of the two speeds: who starts at a signal crosses the line slowly, and is gone
         # by the time that the next one comes.
         speed = own_speed if own_speed > other_speed else other_speed

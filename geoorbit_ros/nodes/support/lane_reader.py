@@ -7,7 +7,7 @@ from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.calibration.plane import RoadPlane
 from geoorbit_ros.lanes.geojson import parse_lane_file
-from geoorbit_ros.traffic.live import StampedLanes
+from geoorbit_ros.traffic.lane_maps import StampedLanes
 
 
 class LaneReader:
