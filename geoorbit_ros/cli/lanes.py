@@ -62,7 +62,7 @@ def lanes(
 
     options = read_options(fps, columns, classes, strict)
     camera = load_camera(
-        tracks, bag, calibration, camera_id, image_size, datum, out, options, image
+        tracks, bag, calibration, camera_id, image_size, datum, out, options, image, long=True
     )
     recording = Recording()
     with atomic_output(out) as path:

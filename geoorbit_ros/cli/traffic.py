@@ -140,7 +140,7 @@ def traffic(
             raise ParameterError("option --calibration", "nothing", "a file of control points")
         options = read_options(fps, columns, classes, strict)
         camera = load_camera(
-            tracks, bag, calibration, camera_id, image_size, datum, out, options, image
+            tracks, bag, calibration, camera_id, image_size, datum, out, options, image, long=True
         )
         source = source_of_camera(camera, lanes, estimator, update_period_s, image)
     place = _station_place(station, source.datum)

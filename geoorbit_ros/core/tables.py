@@ -106,12 +106,8 @@ class Frames:
 
     def blocks(self, rows: int) -> Iterator[Frames]:
         """Consecutive frames, as many together as have no more than `rows` rows, at least one."""
-        first = 0
-        while first < len(self):
-            limit = self.offset[first] + rows
-            last = max(first + 1, int(np.searchsorted(self.offset, limit, side="right")) - 1)
+        for first, last in bounds_of_blocks(self.offset, rows):
             yield self.part(first, last)
-            first = last
 
     def tables(self) -> Iterator[tuple[int, NDArray[np.void]]]:
         """Stamp and rows of each frame, views."""
@@ -122,6 +118,16 @@ class Frames:
     def row_stamp_ns(self) -> NDArray[np.int64]:
         """(N,) stamp of each row."""
         return np.repeat(self.stamp_ns, np.diff(self.offset))
+
+
+def bounds_of_blocks(offset: NDArray[np.int64], rows: int) -> Iterator[tuple[int, int]]:
+    """First and behind-the-last frame of each block; see `Frames.blocks`."""
+    first = 0
+    while first < len(offset) - 1:
+        limit = offset[first] + rows
+        last = max(first + 1, int(np.searchsorted(offset, limit, side="right")) - 1)
+        yield first, last
+        first = last
 
 
 def one_frame(stamp_ns: int, rows: NDArray[np.void]) -> Frames:
@@ -154,11 +160,16 @@ def frames_between(
             high = int(np.searchsorted(block.stamp_ns, last_ns, side="right"))
         if low < high:
             parts.append(block.part(low, high))
-    counts = [np.diff(part.offset) for part in parts]
+    return join_blocks(parts)
+
+
+def join_blocks(blocks: Sequence[Frames], dtype: np.dtype[np.void] = TRACK_DTYPE) -> Frames:
+    """Blocks of frames of a dtype in time order as one."""
+    counts = [np.diff(block.offset) for block in blocks]
     return Frames(
-        np.concatenate([np.empty(0, np.int64), *(part.stamp_ns for part in parts)]),
+        np.concatenate([np.empty(0, np.int64), *(block.stamp_ns for block in blocks)]),
         np.append(0, np.cumsum(np.concatenate([np.empty(0, np.int64), *counts]))),
-        np.concatenate([np.empty(0, TRACK_DTYPE), *(part.rows for part in parts)]),
+        np.concatenate([np.empty(0, dtype), *(block.rows for block in blocks)], dtype=dtype),
     )
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.core.class_names import class_text
 from geoorbit_ros.core.errors import NoTrafficError
+from geoorbit_ros.core.frame_spool import AnyFrames
 from geoorbit_ros.core.input_report import InputReport, Treatment
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.core.tables import VEHICLE_CLASS_TEXT, VEHICLE_CLASSES, Frames, one_frame
@@ -51,20 +52,31 @@ StampedRows = tuple[int, NDArray[np.void]]
 """Capture time in nanoseconds and the rows of one frame."""
 
 
-def note_other_classes(report: InputReport, frames: Frames) -> None:
+BLOCK_ROWS = 250_000
+"""Rows that are projected together at most: ten minutes of a busy road. Chosen: more take more
+memory (0.7 kB a row), fewer more time."""
+
+
+def note_other_classes(report: InputReport, frames: AnyFrames) -> None:
     """Say how many tracks make no lane because their class, in most frames, is no vehicle's.
 
     Args:
         report: Takes the remark.
         frames: Frames of `PIXEL_TRACK_DTYPE`.
     """
-    if not len(frames.rows):
+    others, votes = False, list[NDArray[np.int64]]()
+    for block in frames.blocks(BLOCK_ROWS):
+        kind = block.rows["class_id"]
+        others |= not np.isin(kind, VEHICLE_CLASSES).all()
+        pairs = np.stack((block.rows["track_id"], kind)).astype(np.int64)
+        votes.append(np.array(np.unique(pairs[0] << 32 | pairs[1] + 2**31, return_counts=True)))
+    if not others:
         return
-    ids, owner = np.unique(frames.rows["track_id"], return_inverse=True)
-    classes, kind = np.unique(frames.rows["class_id"], return_inverse=True)
-    votes = np.zeros((len(ids), len(classes)), np.int64)
-    np.add.at(votes, (owner, kind), 1)
-    usual = classes[votes.argmax(axis=1)]
+    key, place = np.unique(np.concatenate([part[0] for part in votes]), return_inverse=True)
+    count = np.bincount(place, np.concatenate([part[1] for part in votes]))
+    track_id, kind = key >> 32, (key & (2**32 - 1)) - 2**31
+    order = np.lexsort((kind, -count, track_id))
+    usual = kind[order][np.diff(track_id[order], prepend=-(2**40)) != 0]
     other = usual[~np.isin(usual, VEHICLE_CLASSES)]
     if not len(other):
         return
@@ -75,13 +87,8 @@ def note_other_classes(report: InputReport, frames: Frames) -> None:
     )
     report.note(
         Treatment.NOTED,
-        f"{len(other)} of {len(ids)} tracks make no lane, as they are no motor vehicles: {named}",
+        f"{len(other)} of {len(usual)} tracks make no lane, as they are no motor vehicles: {named}",
     )
-
-
-BLOCK_ROWS = 250_000
-"""Rows that are projected together at most: ten minutes of a busy road. Chosen: more take more
-memory (0.7 kB a row), fewer more time."""
 
 
 def project_blocks(

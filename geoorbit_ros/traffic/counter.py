@@ -179,7 +179,9 @@ class _OccupiedPlaces:
             lane = self._crossed.setdefault((lane_id, rides), [])
             del lane[: bisect_left(lane, (at_ns - KEPT_NS + 1,))]
             near = lane[
-                bisect_left(lane, (at_ns - FORGET_NS + 1,)) : bisect_left(lane, (at_ns + FORGET_NS,))
+                bisect_left(lane, (at_ns - FORGET_NS + 1,)) : bisect_left(
+                    lane, (at_ns + FORGET_NS,)
+                )
             ]
             if rides:
                 near = [other for other in near if abs(other[3] - left_m) < RIDER_APART_M]

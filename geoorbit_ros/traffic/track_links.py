@@ -269,7 +269,8 @@ def _motions(parts: list[NDArray[np.void]], at: int) -> Motions:
     place = np.stack((rows["x"], rows["y"]))
 
     def sums(value: Array) -> Array:
-        return np.bincount(part, value, len(parts))  # row by row: no part changes another's bits
+        # Row by row: no part changes another's bits.
+        return np.bincount(part, value, len(parts)).astype(np.float64)
 
     weight = 1.0 / np.maximum(rows["sigma"], 0.05) ** 2
     weight = weight / sums(weight)[part]
@@ -290,7 +291,7 @@ def _squares(before: Motions, after: Motions) -> Array:
 
     Infinite if it can't.
     """
-    gap_s = (after.stamp_ns - before.stamp_ns) * 1e-9
+    gap_s = np.asarray(after.stamp_ns - before.stamp_ns, np.float64) * 1e-9
     unknown = np.isnan(before.velocity[0]), np.isnan(after.velocity[0])
     total = np.nan_to_num(before.velocity, nan=0.0) + np.nan_to_num(after.velocity, nan=0.0)
     velocity = total / np.maximum(2 - unknown[0] - unknown[1].astype(np.int64), 1)
