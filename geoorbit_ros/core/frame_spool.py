@@ -6,6 +6,7 @@ program ends. Only its index is in memory: 16 bytes a frame.
 
 from __future__ import annotations
 
+import mmap
 import multiprocessing.context
 import os
 import tempfile
@@ -96,7 +97,10 @@ class FrameSpool:
 
     def rows(self, first_row: int, last_row: int) -> NDArray[np.void]:
         """Rows `first_row` to `last_row` - 1."""
-        rows = np.empty(last_row - first_row, self.dtype)
+        size = (last_row - first_row) * self.dtype.itemsize
+        # Pages of their own: in the heap, block after block leaves holes that nothing fits into.
+        room = mmap.mmap(-1, max(size, 1))
+        rows = np.frombuffer(room, self.dtype, last_row - first_row)
         left, at = rows.view(np.uint8).data, first_row * self.dtype.itemsize
         while left:
             read = os.preadv(self._file.fileno(), [left], at)

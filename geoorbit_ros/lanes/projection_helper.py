@@ -16,7 +16,10 @@ from geoorbit_ros.lanes.pipeline import BLOCK_ROWS
 
 
 def project_beside(
-    frames: FrameSpool, projector: BoxProjector, ground: FrameSpool
+    frames: FrameSpool,
+    projector: BoxProjector,
+    ground: FrameSpool,
+    block_rows: int = BLOCK_ROWS,
 ) -> Iterator[Frames]:
     """Ground tracks in blocks, with the bytes of `pipeline.project_blocks`.
 
@@ -28,12 +31,13 @@ def project_beside(
         frames: Frames of `PIXEL_TRACK_DTYPE`.
         projector: One that has seen none of these frames yet; it remembers no tracks afterwards.
         ground: Takes the ground tracks; it is empty.
+        block_rows: A block ends where one frame more would make it larger.
 
     Yields:
         Consecutive frames of `TRACK_DTYPE`, frames without vehicles included.
     """
-    bounds = bounds_of_blocks(frames.offset, BLOCK_ROWS)
-    with HelperProcess(_ground_of, frames, projector, ground) as helper:
+    bounds = bounds_of_blocks(frames.offset, block_rows)
+    with HelperProcess(_ground_of, frames, projector, ground, block_rows) as helper:
         for (first, last), (counts, projector.counts) in zip(bounds, helper, strict=False):
             doubtful = projector.traffic.add(frames.part(first, last))
             begin, stamps = ground.row_count, frames.stamp_ns[first:last]
@@ -46,11 +50,11 @@ def project_beside(
 
 
 def _ground_of(
-    frames: FrameSpool, projector: BoxProjector, ground: FrameSpool
+    frames: FrameSpool, projector: BoxProjector, ground: FrameSpool, block_rows: int
 ) -> Iterator[tuple[NDArray[np.int64], ProjectionCounts]]:
     """How many rows each frame of a block has, which stand in `ground`; all rows counted so far."""
     done = 0
-    for block in frames.blocks(BLOCK_ROWS):
+    for block in frames.blocks(block_rows):
         placed = projector.place_block(block)
         ground.put(done, placed.rows)
         done += len(placed.rows)

@@ -37,6 +37,7 @@ from geoorbit_ros.storage.tracks.csv_table import (
     exact_ns,
     unit_by_size,
 )
+from geoorbit_ros.storage.tracks.csv_text import WHOLE_SHARE
 from geoorbit_ros.storage.tracks.reader import read_tracks
 
 LEAST_BYTES = 30_000_000
@@ -97,15 +98,17 @@ def _frames(path: Path, options: ReadOptions, size: tuple[int, int] | None) -> I
     Raises:
         _OddError, ArrowInvalid: A row is not as it should be.
     """
+    types, unsure = _types(path)
+    whole = dict.fromkeys(unsure, 0)
     pieces = pacsv.open_csv(
         path,
         pacsv.ReadOptions(block_size=PIECE_BYTES),
         convert_options=pacsv.ConvertOptions(
-            column_types=_types(path), strings_can_be_null=False, null_values=[]
+            column_types=types, strings_can_be_null=False, null_values=[]
         ),
     )
     rest, rest_ns, rest_frame = np.empty(0, PIXEL_TRACK_DTYPE), np.empty(0, np.int64), 0
-    seconds, largest, sized = list[NDArray[np.float64]](), 0.0, False
+    seconds, largest, sized, count = list[NDArray[np.float64]](), 0.0, False, 0
     for piece in pieces:
         if not len(piece):
             continue
@@ -113,22 +116,28 @@ def _frames(path: Path, options: ReadOptions, size: tuple[int, int] | None) -> I
         largest, sized = max(largest, most), sized or bool((rows["width"] > 0).any())
         stamp_ns, of_frames = _times(piece["time"])
         seconds.append(of_frames)
+        for name in unsure:
+            whole[name] += int(np.count_nonzero(np.asarray(piece[name]) % 1.0 == 0.0))
+        count += len(piece)
         number = np.asarray(piece["frame_num"])
         before = (rest_frame, rest_ns[-1]) if len(rest) else (number[0], stamp_ns[0])
         _check_order(np.append(before[0], number), np.append(before[1], stamp_ns))
         rows, stamp_ns = np.concatenate((rest, rows)), np.concatenate((rest_ns, stamp_ns))
         # The last frame may go on in the next piece.
-        whole = int(np.searchsorted(stamp_ns, stamp_ns[-1]))
-        rest, rest_ns, rest_frame = rows[whole:], stamp_ns[whole:], number[-1]
-        yield _checked(stamp_ns[:whole], rows[:whole])
+        ended = int(np.searchsorted(stamp_ns, stamp_ns[-1]))
+        rest, rest_ns, rest_frame = rows[ended:], stamp_ns[ended:], number[-1]
+        yield _checked(stamp_ns[:ended], rows[:ended])
     yield _checked(rest_ns, rest)
     times = np.unique(np.concatenate(seconds))
     if (sized and largest <= NORMALISED) or are_days(times) or unit_by_size(times) != "s":
         raise _OddError
+    # Where hardly any number is whole, points are those of decimals.
+    if any(found >= WHOLE_SHARE * count for found in whole.values()):
+        raise _OddError
 
 
-def _types(path: Path) -> dict[str, pa.DataType]:
-    """How the columns are read, by the first rows."""
+def _types(path: Path) -> tuple[dict[str, pa.DataType], list[str]]:
+    """How the columns are read, by the first rows; in which the points may be between thousands."""
     with path.open("rb") as file:
         head = file.read(HEAD_BYTES)
     header, _, body = head.partition(b"\n")
@@ -144,16 +153,18 @@ def _types(path: Path) -> dict[str, pa.DataType]:
     )
     if pc.any(pc.match_substring_regex(texts["id"], "[^0-9]")).as_py():
         raise _OddError
-    words = pa.dictionary(pa.int32(), pa.string())
+    words, unsure = pa.dictionary(pa.int32(), pa.string()), list[str]()
     types = {"id": pa.int32(), "time": words, "frame_num": pa.int64(), "class": words}
     for name in ("time", "class", *_NUMBERS):
         marked = pc.unique(texts[name].filter(pc.match_substring(texts[name], "."))).to_pylist()
         if marked and all(_GROUPED.fullmatch(text) for text in marked):
-            raise _OddError
+            unsure.append(name)
         if name in _NUMBERS:
             # Where no number has a point, one that has is odd.
             types[name] = pa.float64() if marked else pa.int64()
-    return types
+    if not set(unsure) <= set(_NUMBERS):
+        raise _OddError
+    return types, unsure
 
 
 def _boxes(
