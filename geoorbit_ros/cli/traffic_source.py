@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from geoorbit_ros.calibration.datum import Datum
     from geoorbit_ros.calibration.plane import RoadPlane
     from geoorbit_ros.cli.inputs import CameraInput
+    from geoorbit_ros.core.frame_spool import AnyFrames
     from geoorbit_ros.core.input_report import InputReport
     from geoorbit_ros.core.lanes import LaneMap
     from geoorbit_ros.core.tables import Frames
@@ -110,13 +111,18 @@ def source_of_camera(
     """The traffic of a file of tracks or a bag."""
     from geoorbit_ros.cli.console import read_lanes_aloud
     from geoorbit_ros.core.frame_spool import FrameSpool
-    from geoorbit_ros.core.tables import TRACK_DTYPE, frames_between
+    from geoorbit_ros.core.tables import TRACK_DTYPE, join_blocks
     from geoorbit_ros.lanes.geojson import write_lanes
     from geoorbit_ros.traffic.count import BLOCK_ROWS
     from geoorbit_ros.traffic.interval_clock import usual_gap_s
 
-    kept = FrameSpool(TRACK_DTYPE) if isinstance(camera.boxes, FrameSpool) else None
-    ground = camera.ground_tracks(kept) if kept else iter(held := list(camera.ground_tracks()))
+    kept: AnyFrames
+    if isinstance(camera.boxes, FrameSpool):
+        kept = FrameSpool(TRACK_DTYPE)
+        ground = camera.ground_tracks(kept)
+    else:
+        kept = join_blocks(list(camera.ground_tracks()))
+        ground = iter([kept])
     if lanes:
         lane_map = read_lanes_aloud(lanes, camera.datum).lane_map
         deque(ground, maxlen=0)
@@ -134,8 +140,8 @@ def source_of_camera(
         write,
         camera.datum,
         camera.homography,
-        (lambda: kept.blocks(BLOCK_ROWS)) if kept else lambda: iter(held),
-        kept.between if kept else lambda first_ns, last_ns: frames_between(held, first_ns, last_ns),
+        lambda: kept.blocks(BLOCK_ROWS),
+        kept.between,
         len(camera.boxes),
         usual_gap_s(camera.boxes),
         camera.reports,
@@ -144,7 +150,7 @@ def source_of_camera(
             ("Control points", camera.calibration.name),
             ("Lanes", lanes.name if lanes else estimator),
         ),
-        beside=kept,
+        beside=kept if isinstance(kept, FrameSpool) else None,
     )
 
 

@@ -109,6 +109,12 @@ class Frames:
         for first, last in bounds_of_blocks(self.offset, rows):
             yield self.part(first, last)
 
+    def between(self, first_ns: int, last_ns: int) -> Frames:
+        """Frames from one stamp to another, both included, views."""
+        first = int(np.searchsorted(self.stamp_ns, first_ns))
+        last = int(np.searchsorted(self.stamp_ns, last_ns, side="right"))
+        return self.part(first, max(first, last))
+
     def tables(self) -> Iterator[tuple[int, NDArray[np.void]]]:
         """Stamp and rows of each frame, views."""
         bounds = pairwise(self.offset.tolist())
@@ -188,6 +194,17 @@ def order_by_id(track_id: NDArray[np.int32]) -> NDArray[np.intp]:
             # Numbers of 16 bits are sorted digit by digit, in a fifth of the time.
             track_id = (track_id.astype(np.int64) - low).astype(np.uint16)
     return np.argsort(track_id, kind="stable")
+
+
+def distinct(numbers: NDArray[np.int32]) -> NDArray[np.int64]:
+    """The different ones of (N,) numbers, increasing."""
+    low = int(numbers.min(initial=2**31 - 1))
+    span = int(numbers.max(initial=low)) - low + 1
+    if span > 2 * len(numbers) + 1000:  # a table of what is there would be longer than the numbers
+        return np.unique(numbers).astype(np.int64)
+    there = np.zeros(span, np.bool_)
+    there[numbers.astype(np.int64) - low] = True
+    return np.flatnonzero(there) + low
 
 
 def one_class_each(rows: NDArray[np.void]) -> NDArray[np.int64]:

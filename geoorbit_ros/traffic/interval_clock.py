@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.core.frame_spool import AnyFrames
+from geoorbit_ros.core.tables import distinct
 
 DAY_S = 86_400
 CLOCK_SINCE_NS = 631_152_000_000_000_000
@@ -186,5 +187,5 @@ def usual_gap_s(frames: AnyFrames) -> float:
 
 def _track_count(frames: AnyFrames) -> int:
     """How many ids there are."""
-    ids = [np.unique(block.rows["track_id"]) for block in frames.blocks(AT_ONCE)]
+    ids = [distinct(block.rows["track_id"]) for block in frames.blocks(AT_ONCE)]
     return len(np.unique(np.concatenate(ids)))
