@@ -354,8 +354,8 @@ def show(outcomes: Sequence[Outcome], console: Console) -> None:
     for heading in ("scene", *headings.split("|")):
         table.add_column(heading, justify="left" if heading == "scene" else "right")
     for o in outcomes:
-        worst = max(map(abs, o.p85_kmh), default=float("nan"))
-        figures = (o.time_p95_s, o.speed_median_kmh, o.speed_p95_kmh, o.covered, worst)
+        worst_kmh = max(map(abs, o.p85_kmh), default=float("nan"))
+        figures = (o.time_p95_s, o.speed_median_kmh, o.speed_p95_kmh, o.covered, worst_kmh)
         table.add_row(
             o.name,
             str(o.true),

@@ -93,10 +93,10 @@ def with_events(frames: Frames, period_s: int = 300) -> Frames:
     for k in range(int(time_s[-1]) // period_s):
         since = time_s - (period_s * k + 70.0)
         stands = np.minimum(15.0 * since, 60.0) + np.maximum(15.0 * (since - 140.0), 0.0)
-        for offset, x, y in ((900_000, stands, 7.0), (950_000, 118.0 - 20.0 * since, 3.5)):
+        for first_id, x, y in ((900_000, stands, 7.0), (950_000, 118.0 - 20.0 * since, 3.5)):
             there = np.flatnonzero((since >= 0.0) & (x >= 0.0) & (x <= 120.0))
             rows = np.zeros(len(there), frames.rows.dtype)
-            rows["x"], rows["y"], rows["track_id"] = x[there], y, offset + k
+            rows["x"], rows["y"], rows["track_id"] = x[there], y, first_id + k
             rows["sigma"], rows["class_id"], rows["length"], rows["score"] = 0.05, 2, 4.5, 0.9
             tables.append(rows)
             owners.append(there)

@@ -143,17 +143,13 @@ def traffic(
             tracks, bag, calibration, camera_id, image_size, datum, out, options, image, long=True
         )
         source = source_of_camera(camera, lanes, estimator, update_period_s, image)
-    place = _station_place(station, source.datum)
     with atomic_output(out, overwrite=force) as folder:
         folder.mkdir()
-        # SUMO's files are of one network, and so of one lane map.
-        recorded = source.count(None if road_map else clock, place)
-        _check_stations(place, station, recorded)
+        recorded = _counted(source, clock, station, one_map=road_map is not None)
         _write(folder, source, recorded, scheme, clock)
         _write_page(folder / "report.html", source, recorded, scheme, clock)
         said = _write_for_sumo(folder / "sumo", road_map, source, recorded, clock)
-    _tell(source, recorded, scheme, clock)
-    _say_where(out, recorded, clock, said)
+    _tell(out, source, recorded, scheme, clock, said)
 
 
 def _write(
@@ -236,7 +232,12 @@ def _write_for_sumo(
 
 
 def _tell(
-    source: TrafficSource, recorded: Recorded, scheme: ClassScheme, clock: IntervalClock
+    out: Path,
+    source: TrafficSource,
+    recorded: Recorded,
+    scheme: ClassScheme,
+    clock: IntervalClock,
+    said: Sequence[str],
 ) -> None:
     """One row per lane for the whole recording, and the events."""
     import numpy as np
@@ -278,6 +279,7 @@ def _tell(
     if more > 0:
         say(f"{count_of(more, 'more event')} in events.csv.")
     print_remarks(*source.reports())
+    _say_where(out, recorded, clock, said)
 
 
 def _say_where(out: Path, recorded: Recorded, clock: IntervalClock, said: Sequence[str]) -> None:
@@ -319,6 +321,16 @@ def _station_place(given: str | None, datum: Datum) -> StationPlace | None:
         raise ParameterError("option --station", repr(given), expected) from error
     point_m = datum.to_local(np.array([place.latitude_deg]), np.array([place.longitude_deg]))
     return StationPlace(point_m[0])
+
+
+def _counted(
+    source: TrafficSource, clock: IntervalClock, station: str | None, *, one_map: bool
+) -> Recorded:
+    """Count all vehicles; SUMO's files are of one network, and so of one lane map."""
+    place = _station_place(station, source.datum)
+    recorded = source.count(None if one_map else clock, place)
+    _check_stations(place, station, recorded)
+    return recorded
 
 
 def _check_stations(place: StationPlace | None, given: str | None, recorded: Recorded) -> None:

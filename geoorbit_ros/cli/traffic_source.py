@@ -78,17 +78,17 @@ class TrafficSource:
         from geoorbit_ros.traffic.lane_maps import MapChoice, MapInUse
         from geoorbit_ros.traffic.stations import measured_lanes
 
-        lanes, plane, choice, first = self.lane_map.lanes, self.plane, None, None
+        counter, choice, first = TrafficCounter(self.lane_map.lanes, self.plane, place), None, None
         if clock is not None and self.lanes_at is not None:
-            choice = MapChoice(clock, self.lanes_at)
             begin_ns = clock.start_of(self.first_ns)
+            choice = MapChoice(clock, self.lanes_at)
             found = choice.start(begin_ns)
-            assert found is not None  # `lane_map` is one of the maps
-            lanes = tuple(found.lanes)
-        counter = TrafficCounter(lanes, plane, place)
-        if choice is not None and found is not None:
-            order = measured_lanes(counter.lanes, counter.stations)
-            first = MapInUse(begin_ns, found.stamp_ns, counter.lanes, order)
+            if found is None:  # no map has a confirmed lane: the last one counts as it is
+                choice = None
+            else:
+                counter = TrafficCounter(found.lanes, self.plane, place)
+                order = measured_lanes(counter.lanes, counter.stations)
+                first = MapInUse(begin_ns, found.stamp_ns, counter.lanes, order)
         with shown_progress() as tell:
 
             def told() -> Iterator[Frames]:
@@ -172,15 +172,7 @@ def source_of_database(
 
     with TrajectoryReader(database) as reader:
         cameras = {camera.camera_id: camera for camera in reader.cameras()}
-        known = list(cameras)
-        name = camera_id or (known[0] if len(known) == 1 else "")
-        if not name:
-            if not known:
-                raise ParameterError(
-                    "option --database", f"no camera in {database}", "tracks in it"
-                )
-            found = f"{len(known)} cameras in {database}"
-            raise ParameterError("option --camera-id", found, f"one of {', '.join(known)}")
+        name = camera_id or _only_camera(database, list(cameras))
         stamps = reader.lane_map_stamps(name)
         if not stamps and lanes is None:
             raise ParameterError("option --lanes", f"no lane map of {name} stored", "a lane file")
@@ -197,8 +189,6 @@ def source_of_database(
             return reader.read(name, first_ns, last_ns + 1)
 
     over_time = StoredMaps(database, name) if lanes is None and stored is not None else None
-    if over_time is not None and over_time.first is None:
-        over_time = None  # no map has a confirmed lane: the last one counts as it is
 
     def write(path: Path, recorded: Recorded) -> None:
         used = file
@@ -252,6 +242,20 @@ class DatabaseTracks:
                     waiting, count = [], 0
             if waiting:
                 yield join_blocks(waiting)
+
+
+def _only_camera(database: Path, known: list[str]) -> str:
+    """The camera of a database that has one.
+
+    Raises:
+        ParameterError: There is none, or there are several.
+    """
+    if not known:
+        raise ParameterError("option --database", f"no camera in {database}", "tracks in it")
+    if len(known) > 1:
+        found = f"{len(known)} cameras in {database}"
+        raise ParameterError("option --camera-id", found, f"one of {', '.join(known)}")
+    return known[0]
 
 
 class StoredMaps:

@@ -26,7 +26,7 @@ from geoorbit_ros.storage.database.traffic import TrafficDatabase
 from geoorbit_ros.storage.ownership import Ownership
 from geoorbit_ros.traffic.class_schemes import named_scheme
 from geoorbit_ros.traffic.counter import Counted
-from geoorbit_ros.traffic.event_records import EventState
+from geoorbit_ros.traffic.event_records import count_begun
 from geoorbit_ros.traffic.follower import STEP_BATCHES, TrafficFollower
 from geoorbit_ros.traffic.interval_clock import NS, IntervalClock, checked_zone
 from geoorbit_ros.traffic.lane_maps import MapShelf
@@ -202,10 +202,10 @@ class TrafficNode(GeoOrbitNode[TrafficParameters]):
     def _publish_events(self, live: LiveTraffic, rows: NDArray[np.void]) -> None:
         """What was told of events, and all that last now, where that has changed."""
         if len(rows):
-            stamp_ns = int(rows["stamp_ns"].max())
+            stamp_ns = int(rows["stamp_ns"][-1])
             table = encode_table(stamp_ns, self.p.frame_id, point_table(rows))
             self._tables["events"].publish(table)
-            self.events += int(np.count_nonzero(rows["state"] == EventState.BEGAN))
+            self.events += count_begun(rows)
         if live.watch is None:
             return
         text = events_json(live.watch.lasting, self._interval_clock, self._camera)

@@ -22,7 +22,7 @@ from geoorbit_ros.traffic.interval_clock import IntervalClock, ObservedTime
 from geoorbit_ros.traffic.lane_maps import MapChoice, MapInUse
 from geoorbit_ros.traffic.measures import Traffic, measure
 from geoorbit_ros.traffic.movements import count_movements, find_gates
-from geoorbit_ros.traffic.records import CROSSING_DTYPE, PASSAGE_DTYPE, last_seen
+from geoorbit_ros.traffic.records import CROSSING_DTYPE, PASSAGE_DTYPE, PIECE_DTYPE, last_seen
 from geoorbit_ros.traffic.stations import MeasuredLanes, measured_lanes
 
 BLOCK_ROWS = 250_000
@@ -125,6 +125,11 @@ class Recorded:
         return np.concatenate([np.empty(0, CROSSING_DTYPE), *(c.crossings for c in self._counted)])
 
     @property
+    def pieces(self) -> NDArray[np.void]:
+        """(Q,) `PIECE_DTYPE` of all vehicles."""
+        return np.concatenate([np.empty(0, PIECE_DTYPE), *(c.pieces for c in self._counted)])
+
+    @property
     def events(self) -> NDArray[np.void]:
         """(E,) `EVENT_DTYPE`: the newest row of each event, by their beginning.
 
@@ -139,10 +144,11 @@ class Recorded:
     def traffic(self, scheme: ClassScheme) -> Traffic:
         """What measures on the last map are made of; lanes that it has no more are left out."""
         lanes = measured_lanes(self.counter.lanes, self.counter.stations)
-        tables = [self.passages, self.crossings]
+        tables = [self.passages, self.crossings, self.pieces]
         if len(self.maps) > 1:
             tables = [rows[np.isin(rows["lane_id"], lanes.lane_id)] for rows in tables]
-        return Traffic(tables[0], tables[1], self.observed, lanes, scheme)
+        passages, crossings, pieces = tables
+        return Traffic(passages, crossings, pieces, self.observed, lanes, scheme)
 
     def parts(
         self, edges: NDArray[np.int64]
@@ -230,10 +236,10 @@ def all_measures(
     So many intervals of which nothing was watched are left out: the clock was set, or there are two
     recordings.
     """
-    passages, crossings, observed = recorded.passages, recorded.crossings, recorded.observed
+    tables, observed = (recorded.passages, recorded.crossings, recorded.pieces), recorded.observed
     edges = clock.edges(recorded.first_ns, recorded.last_ns)
     for of_map, lanes, _ in recorded.parts(edges):
-        traffic = Traffic(passages, crossings, observed, lanes, scheme)
+        traffic = Traffic(*tables, observed, lanes, scheme)
         for k in range(0, len(of_map) - 1, AT_ONCE):
             part = of_map[k : k + AT_ONCE + 1]
             if part[0] == edges[0] or observed.seconds(part).any():

@@ -16,8 +16,8 @@ from geoorbit_ros.core.tables import MOTORCYCLE, Frames
 from geoorbit_ros.traffic.class_schemes import BICYCLE, MOVING_CLASSES
 from geoorbit_ros.traffic.lane_sequence import LaneMatcher, cut_at_oncoming
 from geoorbit_ros.traffic.motion_fit import VEHICLE_SCALE
-from geoorbit_ros.traffic.passages import classes, find_passages
-from geoorbit_ros.traffic.records import CROSSING_DTYPE, NO_LANE, PASSAGE_DTYPE
+from geoorbit_ros.traffic.passages import classes, find_passages, find_pieces, find_runs
+from geoorbit_ros.traffic.records import CROSSING_DTYPE, NO_LANE, PASSAGE_DTYPE, PIECE_DTYPE
 from geoorbit_ros.traffic.road_coordinates import RoadCoordinates
 from geoorbit_ros.traffic.stations import StationPlace, find_crossings, place_stations
 from geoorbit_ros.traffic.vehicle_paths import PathCollector, Paths
@@ -52,14 +52,22 @@ class Counted:
     Attributes:
         passages: (P,) `PASSAGE_DTYPE`.
         crossings: (C,) `CROSSING_DTYPE`.
+        pieces: (Q,) `PIECE_DTYPE`.
         vehicles: How many vehicles these are, those in no lane included.
         in_no_lane: How many of them drove along no lane.
     """
 
     passages: NDArray[np.void]
     crossings: NDArray[np.void]
+    pieces: NDArray[np.void]
     vehicles: int
     in_no_lane: int
+
+
+def nobody() -> Counted:
+    """No vehicle."""
+    passages, crossings = np.empty(0, PASSAGE_DTYPE), np.empty(0, CROSSING_DTYPE)
+    return Counted(passages, crossings, np.empty(0, PIECE_DTYPE), 0, 0)
 
 
 class TrafficCounter:
@@ -117,31 +125,37 @@ class TrafficCounter:
 
     def _count(self, paths: Paths) -> Counted:
         if not len(paths):
-            return Counted(np.empty(0, PASSAGE_DTYPE), np.empty(0, CROSSING_DTYPE), 0, 0)
+            return nobody()
         found = self._matcher.lanes_of(paths)
         paths = cut_at_oncoming(paths, found)
         moving = np.isin(classes(paths), MOVING_CLASSES)
-        passages, crossings = (
-            find_passages(paths, found),
+        runs = find_runs(paths, found)
+        tables = (
+            find_passages(paths, found, runs),
             find_crossings(paths, found, self.stations),
+            find_pieces(paths, found, runs),
         )
-        passages = self._named(passages[moving[passages["vehicle_id"]]])
-        crossings = self._named(crossings[moving[crossings["vehicle_id"]]])
+        passages, crossings, pieces = (
+            self._named(table[moving[table["vehicle_id"]]]) for table in tables
+        )
         first_ns, last_ns = self._paths.observed_ns
         inside = (crossings["stamp_ns"] >= first_ns) & (crossings["stamp_ns"] <= last_ns)
         crossings = crossings[inside]
         twice = self._places.seen_before(crossings)
         crossings = crossings[~np.isin(crossings["vehicle_id"], twice)]
         passages = passages[~np.isin(passages["vehicle_id"], twice)]
+        pieces = pieces[~np.isin(pieces["vehicle_id"], twice)]
         self.vehicles += len(paths)
         seen = int(np.count_nonzero(moving)) - len(twice)
         missing = seen - len(np.unique(passages["vehicle_id"]))
-        return Counted(passages, crossings, seen, missing)
+        return Counted(passages, crossings, pieces, seen, missing)
 
     def _named(self, table: NDArray[np.void]) -> NDArray[np.void]:
         """Give vehicles and lanes their ids, and speeds the errors that places don't show."""
-        scale = np.hypot(self._scale_sigma[table["lane_id"]], VEHICLE_SCALE)
-        table["speed_sigma_mps"] = np.hypot(table["speed_sigma_mps"], scale * table["speed_mps"])
+        if "speed_sigma_mps" in (table.dtype.names or ()):
+            scale = np.hypot(self._scale_sigma[table["lane_id"]], VEHICLE_SCALE)
+            sigma = np.hypot(table["speed_sigma_mps"], scale * table["speed_mps"])
+            table["speed_sigma_mps"] = sigma
         if "speed_scale_sigma" in (table.dtype.names or ()):
             table["speed_scale_sigma"] = self._scale_sigma[table["lane_id"]]
         table["vehicle_id"] += self.vehicles + 1

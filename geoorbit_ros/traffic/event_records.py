@@ -142,6 +142,11 @@ class EventLog:
             self._lasting[int(row["event_id"][0])] = self._rows[-1]
 
 
+def count_begun(rows: NDArray[np.void]) -> int:
+    """How many events begin in rows of `EVENT_DTYPE`."""
+    return int(np.count_nonzero(rows["state"] == EventState.BEGAN))
+
+
 def newest_rows(rows: NDArray[np.void]) -> NDArray[np.void]:
     """The newest row of each event, by their beginning.
 

@@ -18,7 +18,7 @@ from geoorbit_ros.storage.database.traffic import TrafficDatabase, TrafficMap, T
 from geoorbit_ros.storage.database.traffic_events import StoredWatch
 from geoorbit_ros.storage.database.traffic_series import SeriesName
 from geoorbit_ros.traffic.class_schemes import ClassScheme, scheme_text
-from geoorbit_ros.traffic.counter import Counted
+from geoorbit_ros.traffic.counter import Counted, nobody
 from geoorbit_ros.traffic.event_records import EVENT_DTYPE, EventLog
 from geoorbit_ros.traffic.interval_clock import IntervalClock
 from geoorbit_ros.traffic.lane_maps import StampedLanes
@@ -29,7 +29,6 @@ from geoorbit_ros.traffic.packed import (
     pack_passages,
     unpack_passages,
 )
-from geoorbit_ros.traffic.records import CROSSING_DTYPE, PASSAGE_DTYPE
 from geoorbit_ros.traffic.watch_state import pack_watch, unpack_watch
 
 STEP_BATCHES = 256
@@ -37,7 +36,7 @@ STEP_BATCHES = 256
 more keeps a node from its other work, less catches up slower."""
 KEEP_NS = 300_000_000_000
 """Time between two stored states of who watches for events. Chosen: after a stop five minutes are
-watched again, within a second; shorter writes 20 kB more often."""
+watched again, within a second; shorter writes ten kilobytes more often."""
 ParseLanes = Callable[[str], StampedLanes]
 """From a lane map's text to its lanes."""
 
@@ -100,11 +99,10 @@ class TrafficFollower:
         Raises:
             GeoOrbitError: The database can't be used. The next step goes on from what is stored.
         """
-        nothing = Counted(np.empty(0, PASSAGE_DTYPE), np.empty(0, CROSSING_DTYPE), 0, 0)
         if self.live is None:
             self.live = self._started()
         if self.live is None:
-            return Told(0, nothing, (), np.empty(0, EVENT_DTYPE))
+            return Told(0, nobody(), (), np.empty(0, EVENT_DTYPE))
         done, finished = 0, list[Finished]()
         try:
             stored = self._database.batches(self._camera, self._next_ns)

@@ -29,7 +29,7 @@ from geoorbit_ros.traffic.lane_maps import (
 )
 from geoorbit_ros.traffic.measures import LONGEST_HEADWAY_S, Traffic, measure
 from geoorbit_ros.traffic.movements import count_movements, find_gates
-from geoorbit_ros.traffic.records import CROSSING_DTYPE, PASSAGE_DTYPE, last_seen
+from geoorbit_ros.traffic.records import CROSSING_DTYPE, PASSAGE_DTYPE, PIECE_DTYPE, last_seen
 from geoorbit_ros.traffic.stations import REACH_S, measured_lanes
 
 LOOK_NS = 5_000_000_000
@@ -135,6 +135,7 @@ class LiveTraffic:
         self._maps: list[MapInUse] = []
         self._passages = np.empty(0, PASSAGE_DTYPE)
         self._crossings = np.empty(0, CROSSING_DTYPE)
+        self._pieces = np.empty(0, PIECE_DTYPE)
         self._gone, self._held = list[Counted](), list[Frames]()
         self._begin_ns = self._looked_ns = 0
         self._watched = watched or Watched(np.iinfo(np.int64).min, None, EventLog())
@@ -181,6 +182,7 @@ class LiveTraffic:
         return Counted(
             np.concatenate([np.empty(0, PASSAGE_DTYPE), *(part.passages for part in parts)]),
             np.concatenate([np.empty(0, CROSSING_DTYPE), *(part.crossings for part in parts)]),
+            np.concatenate([np.empty(0, PIECE_DTYPE), *(part.pieces for part in parts)]),
             sum(part.vehicles for part in parts),
             sum(part.in_no_lane for part in parts),
         )
@@ -255,6 +257,7 @@ class LiveTraffic:
         if counted.vehicles:
             self._passages = np.concatenate((self._passages, counted.passages))
             self._crossings = np.concatenate((self._crossings, counted.crossings))
+            self._pieces = np.concatenate((self._pieces, counted.pieces))
             if self._resume is not None:
                 self._number_as(self._resume.passages, counted.passages)
                 counted = _since(counted, self._resume.from_ns)
@@ -270,7 +273,7 @@ class LiveTraffic:
         ]
         if found and found[-1]:
             self._counter.vehicles += found[-1]
-            for table in (self._passages, self._crossings):
+            for table in (self._passages, self._crossings, self._pieces):
                 table["vehicle_id"] += found[-1]
 
     def _measured(self, edges: NDArray[np.int64]) -> list[Finished]:
@@ -291,9 +294,8 @@ class LiveTraffic:
         found = list[Finished]()
         for a, b in pieces:
             used, part = self._maps[int(of_map[a])], edges[a : b + 1]
-            traffic = Traffic(
-                self._passages, self._crossings, self._observed, used.order, self.scheme
-            )
+            tables = self._passages, self._crossings, self._pieces
+            traffic = Traffic(*tables, self._observed, used.order, self.scheme)
             here = (last_ns >= part[0]) & (last_ns < part[-1])
             gone = self._passages[here]
             moved = count_movements(gone, find_gates(used.lanes), self.scheme, part)
@@ -304,6 +306,7 @@ class LiveTraffic:
         """Forget what no later interval needs."""
         begin_ns = self._begin_ns
         self._passages = self._passages[last_seen(self._passages) >= begin_ns]
+        self._pieces = self._pieces[self._pieces["last_ns"] >= begin_ns]
         crossings = self._crossings
         kept = crossings["stamp_ns"] >= begin_ns - round(LONGEST_HEADWAY_S * NS)
         kept |= np.isin(crossings["vehicle_id"], self._passages["vehicle_id"])
@@ -326,4 +329,5 @@ def _since(counted: Counted, resume_ns: int) -> Counted:
     passages = counted.passages[kept]
     gone = np.unique(counted.passages["vehicle_id"][~kept])
     crossings = counted.crossings[~np.isin(counted.crossings["vehicle_id"], gone)]
-    return Counted(passages, crossings, counted.vehicles - len(gone), counted.in_no_lane)
+    pieces = counted.pieces[~np.isin(counted.pieces["vehicle_id"], gone)]
+    return Counted(passages, crossings, pieces, counted.vehicles - len(gone), counted.in_no_lane)

@@ -80,6 +80,7 @@ class Traffic:
     Attributes:
         passages: (P,) `records.PASSAGE_DTYPE`.
         crossings: (C,) `records.CROSSING_DTYPE`.
+        pieces: (Q,) `records.PIECE_DTYPE`.
         observed: When the camera watched.
         lanes: The lanes.
         scheme: Classes.
@@ -87,6 +88,7 @@ class Traffic:
 
     passages: NDArray[np.void]
     crossings: NDArray[np.void]
+    pieces: NDArray[np.void]
     observed: ObservedTime
     lanes: MeasuredLanes
     scheme: ClassScheme
@@ -302,19 +304,18 @@ class _Groups:
 
     def uses(self, out: NDArray[np.void]) -> None:
         """Density and space mean speed by the time and distance driven, and lane changes."""
-        rows = self.traffic.passages
+        rows = self.traffic.pieces
         category = self.traffic.scheme.category_of(rows["class_id"], rows["length_m"])
-        spent, driven = np.zeros(self.shape), np.zeros(self.shape)
-        duration = np.maximum((rows["last_ns"] - rows["first_ns"]) / NS, 1e-3)
-        pace = (rows["last_arc_m"] - rows["first_arc_m"]) / duration
+        pace = rows["way_m"] / ((rows["last_ns"] - rows["first_ns"]) / NS)
         of, begin, time_s = self._spread(rows["first_ns"], rows["last_ns"])
         index = self._index(begin, rows["lane_id"][of], category[of])
-        spent += self.sums(index, time_s)
-        driven += self.sums(index, time_s * pace[of])
+        spent, driven = self.sums(index, time_s), self.sums(index, time_s * pace[of])
         length_km = self._length_m()[None, :, None] / 1000.0
         with np.errstate(divide="ignore", invalid="ignore"):
             out["density_veh_per_km"] = spent / length_km / self.watched_s[:, None, None]
             out["space_mean_speed_kmh"] = 3.6 * driven / spent
+        rows = self.traffic.passages
+        category = self.traffic.scheme.category_of(rows["class_id"], rows["length_m"])
         for name, at, other in (
             ("lane_changes_in", "first_ns", "from_lane"),
             ("lane_changes_out", "last_ns", "to_lane"),

@@ -37,6 +37,20 @@ seen in this lane, arcs where along the lane's centreline that was. `speed_mps` 
 passage, along the lane, with its 1-sigma error. `length_m` is NaN where no box shows it.
 `from_lane` and `to_lane` are the vehicle's lanes before and after, `NO_LANE` for none."""
 
+PIECE_DTYPE = np.dtype(
+    [
+        ("vehicle_id", "<i8"),
+        ("lane_id", "<i8"),
+        ("class_id", "<i4"),
+        ("first_ns", "<i8"),
+        ("last_ns", "<i8"),
+        ("way_m", "<f8"),
+        ("length_m", "<f8"),
+    ]
+)
+"""Passages in pieces one after the other: how far a vehicle drove along its lane in which time. Who
+stops on the way has not driven evenly, and intervals may end meanwhile."""
+
 CROSSING_DTYPE = np.dtype(
     [
         ("vehicle_id", "<i8"),

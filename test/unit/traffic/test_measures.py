@@ -13,7 +13,7 @@ from geoorbit_ros.core.tables import BUS, CAR, MOTORCYCLE, TRUCK, UNKNOWN_CLASS
 from geoorbit_ros.traffic.class_schemes import SCHEMES, SchemeFile, scheme_of
 from geoorbit_ros.traffic.interval_clock import NS, ObservedTime
 from geoorbit_ros.traffic.measures import Traffic, headways_s, measure
-from geoorbit_ros.traffic.records import CROSSING_DTYPE, PASSAGE_DTYPE
+from geoorbit_ros.traffic.records import CROSSING_DTYPE, PASSAGE_DTYPE, PIECE_DTYPE
 from geoorbit_ros.traffic.stations import MeasuredLanes
 
 LANES = MeasuredLanes(
@@ -51,7 +51,11 @@ def watched(*spans_s: tuple[float, float]) -> ObservedTime:
 
 def traffic(*parts: tuple[NDArray[np.void], NDArray[np.void]], observed: ObservedTime) -> Traffic:
     passages, crossings = (np.concatenate(tables) for tables in zip(*parts, strict=True))
-    return Traffic(passages, crossings, observed, LANES, SCHEMES["coco"])
+    pieces = np.zeros(len(passages), PIECE_DTYPE)
+    for name in set(PIECE_DTYPE.names or ()) - {"way_m"}:
+        pieces[name] = passages[name]
+    pieces["way_m"] = passages["last_arc_m"] - passages["first_arc_m"]
+    return Traffic(passages, crossings, pieces, observed, LANES, SCHEMES["coco"])
 
 
 def row(table: NDArray[np.void], start_s: float, lane: int, category: int = -1) -> Any:

@@ -13,7 +13,10 @@ from geoorbit_ros.core.errors import TableError
 from geoorbit_ros.core.lanes import Lane, lane_of_map
 from geoorbit_ros.core.polylines import offset_line
 from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE, TRACK_DTYPE, Frames, frames_from_rows
+from geoorbit_ros.traffic.class_schemes import SCHEMES
+from geoorbit_ros.traffic.count import record
 from geoorbit_ros.traffic.counter import Counted, TrafficCounter
+from geoorbit_ros.traffic.measures import measure
 from geoorbit_ros.traffic.stations import StationPlace, place_stations
 
 WIDTH_M = 3.5
@@ -282,6 +285,39 @@ def test_who_stands_on_the_line_covers_it_all_the_time(before_m: float, waits: b
     over_s = (row["rear_ns"] - row["front_ns"]) * 1e-9
     assert over_s == pytest.approx(4.5 / 10.0 + 60.0 * waits, abs=1.0)
     assert row["front_ns"] <= row["stamp_ns"] <= row["rear_ns"]
+
+
+def test_time_and_way_are_in_the_intervals_in_which_they_were_spent_and_driven() -> None:
+    """A vehicle stands for a minute and a half; the minute in the middle knows no way."""
+    frames = frames_of(timed(stops_at(40.0, 90.0), 1))
+    recorded = record(TrafficCounter(TWO_LANES), [frames], 2.0)
+    pieces = recorded.pieces
+    (passage,) = recorded.passages
+    assert pieces["way_m"].sum() == pytest.approx(passage["last_arc_m"] - passage["first_arc_m"])
+    assert (pieces["first_ns"][1:] == pieces["last_ns"][:-1]).all()
+    edges = np.array([0, 20, 80, 110]) * 10**9
+    rows = measure(recorded.traffic(SCHEMES["coco"]), edges)
+    rows = rows[(rows["lane_id"] == 3) & (rows["category"] == -1)]
+    speed = rows["space_mean_speed_kmh"] / 3.6
+    assert speed[1] == pytest.approx(0.0, abs=0.05)
+    assert speed[0] == pytest.approx(40.0 / 20.0, rel=0.1)
+    assert speed[2] == pytest.approx(79.0 / 22.0, rel=0.1)
+
+
+@pytest.mark.parametrize("from_turn", [0.3, 0.6, 0.9])
+def test_the_place_where_a_roundabout_begins_and_ends_is_no_end(from_turn: float) -> None:
+    round_m = 2.0 * np.pi * 18.0
+    ring = lane(4, arc(18.0), 0.0, round_m)
+    path = arc(18.0)
+    vehicle = drive(
+        lambda s: path(s + from_turn * round_m), 8.0, seen_m=(0.0, 0.65 * round_m), noise_m=0.05
+    )
+    counted = count(frames_of(vehicle), [ring])
+    assert (counted.passages["lane_id"] == 4).all()
+    assert (counted.passages["from_lane"] == 0).all()
+    assert counted.pieces["way_m"].sum() == pytest.approx(0.65 * round_m, abs=4.0)
+    assert counted.passages["speed_mps"] == pytest.approx(8.0, abs=0.4)
+    assert len(counted.crossings) == (from_turn > 0.85 or from_turn < 0.5)
 
 
 def test_rows_of_another_kind_and_earlier_frames_are_refused() -> None:

@@ -213,11 +213,12 @@ def test_columns_of_older_versions_are_read(tmp_path: Path) -> None:
         assert database.traffic_rows(SERIES).dtype.names == ("start_ns", "volume")
 
 
-def test_a_database_of_version_1_is_read_as_it_is_and_brought_up_to_date_to_count(
-    tmp_path: Path,
+@pytest.mark.parametrize("version", [1, 2])
+def test_an_older_database_is_read_as_it_is_and_brought_up_to_date_to_count(
+    tmp_path: Path, version: int
 ) -> None:
     path, frames = tmp_path / "t.db", day(SUMMER_ENDS_NS, 3)
-    connect(path, read_only=False, migrations=MIGRATIONS[:1]).close()
+    connect(path, read_only=False, migrations=MIGRATIONS[:version]).close()
     raw = sqlite3.connect(path)
     raw.execute("INSERT INTO camera (name) VALUES ('north')")
     raw.commit()
@@ -227,6 +228,9 @@ def test_a_database_of_version_1_is_read_as_it_is_and_brought_up_to_date_to_coun
         assert reader.traffic_end(SERIES) is None
         assert len(reader.traffic_rows(SERIES)) == len(reader.traffic_vehicles("north")) == 0
         assert reader.traffic_vehicle_count("north") == 0
+        assert len(reader.traffic_events(SERIES)) == len(reader.traffic_movements(SERIES)) == 0
+        assert reader.traffic_event_rows(SERIES) == 0
+        assert reader.traffic_watch(SERIES) is None
     with TrafficDatabase(path) as database:
         database.append_lanes("north", SUMMER_ENDS_NS, "first")
         record(database, frames)
