@@ -155,8 +155,11 @@ class Links:
         ]
         if not new:
             return
-        before, after, ends = _pairs(ordered, new)
-        square = _squares(ends, _motions([_first_second(f.rows) for f in new], 0).take(after))
+        before, after, which, ends = _pairs(ordered, new)
+        begins = _motions([_first_second(f.rows) for f in new], 0)
+        near = _near(ends, begins, which, after).nonzero()[0]
+        before, after = before[near], after[near]
+        square = _squares(ends.take(which[near]), begins.take(after))
         possible = square < MAX_SQUARE
         found = zip(
             after[possible].tolist(),
@@ -190,7 +193,7 @@ class Links:
 
 def _pairs(
     ordered: list[Fragment], new: list[Fragment]
-) -> tuple[NDArray[np.intp], NDArray[np.intp], Motions]:
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp], Motions]:
     """Which tracks each new one may continue, by their times alone.
 
     Args:
@@ -198,8 +201,8 @@ def _pairs(
         new: Those of them of which something is to be decided.
 
     Returns:
-        (P,) indices in `ordered` and (P,) in `new`, and how the first of each pair ended, by what
-        is known a second after the other one began.
+        (P,) indices in `ordered`, (P,) in `new` and (P,) in the last: how tracks ended, by what is
+        known a second after the other one of the pair began.
     """
     first_ns = np.array([f.first_ns for f in ordered], np.int64)
     last_ns = np.array([f.last_ns for f in ordered], np.int64)
@@ -225,7 +228,7 @@ def _pairs(
                 parts.append(_last_second(known))
     pairs = np.array(more, np.intp).reshape(-1, 3)
     before, after = np.append(before, pairs[:, 0]), np.append(after, pairs[:, 1])
-    return before, after, _motions(parts, -1).take(np.append(which, pairs[:, 2]))
+    return before, after, np.append(which, pairs[:, 2]), _motions(parts, -1)
 
 
 def _known_at(rows: NDArray[np.void], start_ns: int) -> NDArray[np.void] | None:
@@ -286,6 +289,26 @@ def _motions(parts: list[NDArray[np.void]], at: int) -> Motions:
     return Motions(stamp_ns, xy, velocity, np.minimum.reduceat(rows["sigma"], begin))
 
 
+def _near(
+    ends: Motions, begins: Motions, which: NDArray[np.intp], after: NDArray[np.intp]
+) -> NDArray[np.bool_]:
+    """(P,) whether the square of a pair can be below `MAX_SQUARE`, by its distance alone."""
+    gap_s = np.abs(begins.stamp_ns[after] - ends.stamp_ns[which]) * 1e-9
+    speeds = [np.nan_to_num(np.hypot(*m.velocity), nan=0.0) for m in (ends, begins)]
+    speed = np.maximum(speeds[0][which], speeds[1][after])
+    apart = [begins.xy[axis][after] - ends.xy[axis][which] for axis in (0, 1)]
+    noise = sum(float(m.sigma_m.max(initial=0.0)) ** 2 for m in (ends, begins))
+    reach_m = speed * gap_s + np.sqrt(MAX_SQUARE * np.maximum(*_variances(noise, gap_s)))
+    # A little more, for the rounding of all this.
+    return np.asarray(apart[0] ** 2 + apart[1] ** 2 <= 1.001 * reach_m**2)
+
+
+def _variances(noise: Array | float, gap_s: Array) -> tuple[Array, Array]:
+    """(M,) variances of places along and across the way, after a gap."""
+    along = noise + PLACE_M[0] ** 2 + (0.5 * ACCELERATION_MPS2 * gap_s**2) ** 2
+    return along, noise + PLACE_M[1] ** 2 + (ACROSS_MPS * gap_s) ** 2
+
+
 def _squares(before: Motions, after: Motions) -> Array:
     """(M,) squared error, in its own sigma, of one vehicle having both motions of a pair.
 
@@ -302,10 +325,8 @@ def _squares(before: Motions, after: Motions) -> Array:
     along = along / np.where(moves, speed, np.where(apart, length, 1.0))
     along_m = error[0] * along[0] + error[1] * along[1]
     across_m = error[1] * along[0] - error[0] * along[1]
-    noise = before.sigma_m**2 + after.sigma_m**2
-    along_square = noise + PLACE_M[0] ** 2 + (0.5 * ACCELERATION_MPS2 * gap_s**2) ** 2
-    across_square = noise + PLACE_M[1] ** 2 + (ACROSS_MPS * gap_s) ** 2
-    square = along_m**2 / along_square + across_m**2 / across_square
+    variances = _variances(before.sigma_m**2 + after.sigma_m**2, gap_s)
+    square = along_m**2 / variances[0] + across_m**2 / variances[1]
     possible = unknown[0] | unknown[1] | _may_be_one(before.velocity, after.velocity, gap_s)
     return np.where(possible, square, np.inf)
 
