@@ -95,6 +95,7 @@ ODD = {
     "frame that is no number": changed(2, "1.5"),
     "frame before": changed(2, "0"),
     "unknown class": changed(3, "spaceship"),
+    "class that is no number": changed(3, "nan"),
     "score beyond": changed(4, "1.5"),
     "no score": changed(4, ""),
     "no place": changed(5, "nan"),
