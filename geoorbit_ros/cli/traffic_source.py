@@ -229,7 +229,7 @@ class DatabaseTracks:
 
     def blocks(self, rows: int) -> Iterator[Frames]:
         """All frames, about so many rows together."""
-        from geoorbit_ros.core.tables import join_blocks
+        from geoorbit_ros.core.tables import Frames, join_blocks
         from geoorbit_ros.storage.database.reader import TrajectoryReader
 
         with TrajectoryReader(self.database) as reader:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import multiprocessing
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from geoorbit_ros.core.frame_spool import FrameSpool
 from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE, TRACK_DTYPE, Frames
 from geoorbit_ros.lanes import projection_helper
 from geoorbit_ros.lanes.projection_helper import project_beside
+from geoorbit_ros.storage.database.writer import TrajectoryDatabase
 from geoorbit_ros.storage.track_csv import read_track_csv
 from geoorbit_ros.storage.tracks import long_csv
 from geoorbit_ros.traffic import count
@@ -160,3 +162,31 @@ def test_what_is_wrong_is_said_as_by_one_process(
     assert len(started) == 1
     assert errors[0] == errors[1]
     assert "none driving along a lane" in errors[0]
+
+
+def test_a_database_has_the_bytes_of_one_process(
+    camera: CameraFiles, tracks: Path, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    """Maps that change over the time, too."""
+    boxes, projector = read_track_csv(tracks), boxes_and_projector(camera)[1]
+    path, out = tmp_path / "tracks.db", tmp_path / "out"
+    with TrajectoryDatabase(path) as database:
+        ground = projector.project_block(boxes)
+        for stamp_ns, rows in ground.tables():
+            database.append("pole_7", stamp_ns, rows)
+        text = camera.truth.read_text(encoding="utf-8")
+        database.append_lanes("pole_7", 0, text)
+        moved = json.loads(text)
+        for feature in moved["features"]:
+            ways = np.array(feature["geometry"]["coordinates"])
+            feature["geometry"]["coordinates"] = np.add(ways, [0.0, 1e-5]).tolist()
+        database.append_lanes("pole_7", int(ground.stamp_ns[len(ground) // 2]), json.dumps(moved))
+    for folder in ("one", "two"):
+        helpers = request.getfixturevalue("helpers") if folder == "two" else []
+        words = ("traffic", "--database", path, "--out", out, "--interval", "10s")
+        assert main([str(word) for word in words]) == 0
+        out.rename(tmp_path / folder)
+    assert len(helpers) == 1
+    for name in sorted(found.name for found in (tmp_path / "one").iterdir()):
+        one, two = ((tmp_path / folder / name).read_bytes() for folder in ("one", "two"))
+        assert one == two, name
