@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.box_projector import BoxProjector
 from geoorbit_ros.calibration.datum import Datum
-from geoorbit_ros.calibration.homography import Homography
+from geoorbit_ros.calibration.homography import Homography, plane_of_images
 from geoorbit_ros.cli.images import (
     DEFAULT_FPS,
     check_images,
@@ -131,6 +131,7 @@ class CameraRun:
         if first is None:
             raise NoTrafficError("images", "none", "at least one")
         width, height = self.image_size = (first[1].shape[1], first[1].shape[0])
+        self.homography = plane_of_images(self.homography, self.image_size)
         self.projector = projector = BoxProjector(self.homography, self.image_size)
         parameters = TrackerParameters(image_width=width, image_height=height)
         tracker = make_tracker(parameters=parameters)
@@ -252,6 +253,7 @@ class CameraJob:
         ground = self.run.ground_tracks(shown, video, rate)
         tracks = self._recording.tee(ground)
         self.lane_map = self._lanes(tracks, images.name)
+        self.homography = self.run.homography
         if self.run.views.found:
             self._recording, self.run.mapper = Recording(), self._mapper()
             again = self.run.ground_tracks_again(*self.run.longest_view()[:2])

@@ -133,6 +133,14 @@ CalibrationOption = Annotated[
         "--calibration", help="Control points: a CSV with pixel_x, pixel_y, latitude, longitude."
     ),
 ]
+CameraInfoOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--camera-info",
+        help="The camera's lens: camera_info in YAML, as ROS' camera_calibration writes it; "
+        "default: as the control points' file says.",
+    ),
+]
 CameraIdOption = Annotated[
     str | None, typer.Option("--camera-id", help="Which camera, for a bag that holds several.")
 ]
@@ -346,6 +354,7 @@ def load_camera(
     out: Path,
     options: ReadOptions | None = None,
     image: str | None = None,
+    camera_info: Path | None = None,
     *,
     long: bool = False,
 ) -> CameraInput:
@@ -361,6 +370,7 @@ def load_camera(
         out: Option `--out`.
         options: What else the user says about the track file.
         image: Option `--image`: boxes are in its pixels where nobody says another size.
+        camera_info: Option `--camera-info`.
         long: Whether boxes of a long recording may stay in a file.
 
     Raises:
@@ -371,7 +381,7 @@ def load_camera(
     from geoorbit_ros.lanes.pipeline import note_other_classes
 
     source = _source(tracks, bag, calibration, out)
-    options = with_image_size(image_size, options)
+    options = with_image_size(image_size, options, stated_image_size(calibration))
     with status(f"reading {source}"):
         name, topic, frames, report = _boxes(source, bag is not None, camera_id, options, long)
         view = image or _road_beside(source)
@@ -387,7 +397,9 @@ def load_camera(
                     source, bag is not None, camera_id, options, long
                 )
     size = report.image_size or ASSUMED_SIZE
-    homography, origin = load_calibration(calibration, datum, size, strict=options.strict)
+    homography, origin = load_calibration(
+        calibration, datum, size, strict=options.strict, camera_info=camera_info
+    )
     note_other_classes(report, frames)
     projector = BoxProjector(homography, size)
     projector.doubted = report.doubtful
@@ -448,8 +460,30 @@ def _source(tracks: Path | None, bag: Path | None, calibration: Path, out: Path)
     return source
 
 
-def with_image_size(image_size: str | None, options: ReadOptions | None = None) -> ReadOptions:
+def stated_image_size(calibration: Path) -> tuple[int, int] | None:
+    """The image size that a control point file says; None where it says none, or isn't there."""
+    from geoorbit_ros.calibration.camera_facts import read_facts
+    from geoorbit_ros.core.errors import InputFileError
+    from geoorbit_ros.storage.tracks.csv_text import split_header
+
+    try:
+        comments = split_header(calibration, "control points").comments
+    except InputFileError:
+        return None  # its reader says what is wrong with it
+    return read_facts(comments, str(calibration)).image_size
+
+
+def with_image_size(
+    image_size: str | None,
+    options: ReadOptions | None = None,
+    otherwise: tuple[int, int] | None = None,
+) -> ReadOptions:
     """The options with `--image-size`, and what is taken where nobody says how large the image is.
+
+    Args:
+        image_size: The option.
+        options: The others.
+        otherwise: Taken where neither the option nor the tracks say it; None: `ASSUMED_SIZE`.
 
     Raises:
         ParameterError: Not two whole numbers from 16 to 32768.
@@ -457,7 +491,8 @@ def with_image_size(image_size: str | None, options: ReadOptions | None = None) 
     from geoorbit_ros.storage.tracks.cleaning import ReadOptions
 
     size = None if image_size is None else parse_image_size(image_size)
-    return replace(options or ReadOptions(), image_size=size, default_size=ASSUMED_SIZE)
+    assumed = otherwise or ASSUMED_SIZE
+    return replace(options or ReadOptions(), image_size=size, default_size=assumed)
 
 
 def read_options(fps: float | None, columns: str | None, classes: str, strict: bool) -> ReadOptions:
@@ -481,19 +516,23 @@ def load_calibration(
     image_size: tuple[int, int] | None = None,
     *,
     strict: bool = False,
+    camera_info: Path | None = None,
 ) -> tuple[Homography, Datum]:
     """The road plane of a file of control points, and the origin of its map frame.
 
     Args:
         calibration: The file.
         datum: Option `--datum`.
-        image_size: (width, height) in pixels, for control points in shares of the image.
+        image_size: (width, height) in pixels of the camera's images; None: not known yet.
         strict: Whether any fault refuses the file.
+        camera_info: Option `--camera-info`.
 
     Raises:
         GeoOrbitError: The file, a value in it or the datum is wrong.
     """
-    homography = read_plane(calibration, parse_datum(datum), image_size, strict=strict)
+    homography = read_plane(
+        calibration, parse_datum(datum), image_size, strict=strict, camera_info=camera_info
+    )
     return homography, homography.points.need_datum("--datum LAT,LON: where x_m = y_m = 0 is")
 
 
@@ -503,13 +542,14 @@ def read_plane(
     image_size: tuple[int, int] | None = None,
     *,
     strict: bool = False,
+    camera_info: Path | None = None,
 ) -> Homography:
     """The road plane of a file of control points; see `load_calibration`."""
-    from geoorbit_ros.calibration.control_point_file import read_control_points
+    from geoorbit_ros.calibration.camera_info import read_calibration
     from geoorbit_ros.calibration.homography import fit_homography
     from geoorbit_ros.calibration.plausibility import calibration_report
 
-    points = read_control_points(calibration, datum, image_size=image_size, strict=strict)
+    points = read_calibration(calibration, camera_info, datum, image_size=image_size, strict=strict)
     homography = fit_homography(points)
     if strict:
         calibration_report(homography).check(strict, "control points that agree")

@@ -12,6 +12,7 @@ from geoorbit_ros.cli.inputs import (
     DEFAULT_ESTIMATOR,
     BagOption,
     CameraIdOption,
+    CameraInfoOption,
     ClassesOption,
     ColumnsOption,
     DatumOption,
@@ -107,6 +108,7 @@ def traffic(
     estimator: EstimatorOption = DEFAULT_ESTIMATOR,
     image_size: ImageSizeOption = None,
     datum: DatumOption = None,
+    camera_info: CameraInfoOption = None,
     image: RoadImageOption = None,
     update_period_s: UpdatePeriodOption = 5.0,
     fps: TrackFpsOption = None,
@@ -139,9 +141,8 @@ def traffic(
         if calibration is None:
             raise ParameterError("option --calibration", "nothing", "a file of control points")
         options = read_options(fps, columns, classes, strict)
-        camera = load_camera(
-            tracks, bag, calibration, camera_id, image_size, datum, out, options, image, long=True
-        )
+        named = (camera_id, image_size, datum, out, options, image, camera_info)
+        camera = load_camera(tracks, bag, calibration, *named, long=True)
         source = source_of_camera(camera, lanes, estimator, update_period_s, image)
     with atomic_output(out, overwrite=force) as folder:
         folder.mkdir()

@@ -50,6 +50,7 @@ class TrafficParameters:
     timezone: str
     class_scheme: str
     calibration_file: str
+    camera_info_file: str
     retention_days: float
     frame_id: str
     reliability: str
@@ -100,6 +101,9 @@ class TrafficNode(GeoOrbitNode[TrafficParameters]):
             self._owner.close()
             self._database.close()
 
+    def _reads_lanes(self, place: str) -> LaneReader:
+        return LaneReader(self.p.calibration_file, place, self.p.camera_info_file)
+
     def diagnostic_values(self) -> Mapping[str, object]:
         """How far it is."""
         live = self._live if self._follower is None else self._follower.live
@@ -119,12 +123,12 @@ class TrafficNode(GeoOrbitNode[TrafficParameters]):
         self._shelf = MapShelf()
         self._restart()
         self._geojson_topic = self.resolve_topic_name("lanes/geojson")
-        self._reader = LaneReader(self.p.calibration_file, self._geojson_topic)
+        self._reader = self._reads_lanes(self._geojson_topic)
         TableStream(self, "tracks", TRACK_DTYPE, self.p, self._on_frame, self._restart)
         self.create_subscription(String, "lanes/geojson", self._on_lanes, LATCHED_ALL, raw=True)
 
     def _follow(self, path: Path) -> None:
-        reader = LaneReader(self.p.calibration_file, f"{path}, lane map of {self._camera}")
+        reader = self._reads_lanes(f"{path}, lane map of {self._camera}")
         self._database = TrafficDatabase(path)
         lock = path.with_name(f".{path.name}.{self._camera.replace('/', '.')}.traffic.lock")
         try:
