@@ -382,20 +382,18 @@ def load_camera(
 
     source = _source(tracks, bag, calibration, out)
     options = with_image_size(image_size, options, stated_image_size(calibration))
+    asked = bag is not None, camera_id, long
     with status(f"reading {source}"):
-        name, topic, frames, report = _boxes(source, bag is not None, camera_id, options, long)
+        name, topic, frames, report = _boxes(source, options, *asked)
         view = image or _road_beside(source)
         if view and not image_size:
             from geoorbit_ros.cli.images import first_view
 
             height, width = first_view(view).shape[:2]
-            seen = (width, height)
-            if seen != report.image_size and _reach_within(frames, seen):
+            if (seen := (width, height)) != report.image_size and _reach_within(frames, seen):
                 options = replace(options, default_size=seen)
                 del frames  # two of a long recording don't fit into memory
-                name, topic, frames, report = _boxes(
-                    source, bag is not None, camera_id, options, long
-                )
+                name, topic, frames, report = _boxes(source, options, *asked)
     size = report.image_size or ASSUMED_SIZE
     homography, origin = load_calibration(
         calibration, datum, size, strict=options.strict, camera_info=camera_info
@@ -409,7 +407,7 @@ def load_camera(
 
 
 def _boxes(
-    source: Path, is_bag: bool, camera_id: str | None, options: ReadOptions, long: bool
+    source: Path, options: ReadOptions, is_bag: bool, camera_id: str | None, long: bool
 ) -> tuple[str, str, AnyFrames, InputReport]:
     """Name, topic, boxes and report of a track file or a bag."""
     from geoorbit_ros.storage.tracks.long_csv import spool_tracks, spooled

@@ -217,15 +217,20 @@ class BlockSource(Protocol):
 def watch_events(
     lanes: Sequence[Lane], source: BlockSource, choice: MapChoice | None
 ) -> Iterator[NDArray[np.void]]:
-    """The rows of events (E,) `EVENT_DTYPE` of some frames after the other; see `record`."""
-    watch = EventWatch(lanes)
+    """The rows of all events (E,) `EVENT_DTYPE`; see `record`.
+
+    They come at the end: who waits for them counts until then, and a pipe that is full would stop
+    this process.
+    """
+    watch, found = EventWatch(lanes), [np.empty(0, EVENT_DTYPE)]
     for frames in source.blocks(BLOCK_ROWS):
         for part, chosen in [(frames, None)] if choice is None else choice.parts(frames):
             if len(part):
                 watch.add(part)
             if chosen is not None:
                 watch.use_lanes(chosen.found.lanes)
-        yield watch.take()
+        found.append(watch.take())
+    yield np.concatenate(found)
 
 
 def all_measures(
