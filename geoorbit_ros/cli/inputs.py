@@ -385,8 +385,7 @@ def load_camera(
     asked = bag is not None, camera_id, long
     with status(f"reading {source}"):
         name, topic, frames, report = _boxes(source, options, *asked)
-        view = image or _road_beside(source)
-        if view and not image_size:
+        if (view := image or _road_beside(source)) and not image_size:
             from geoorbit_ros.cli.images import first_view
 
             height, width = first_view(view).shape[:2]
