@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -14,21 +14,26 @@ from std_msgs.msg import Float64MultiArray
 
 from geoorbit_ros.calibration.box_projector import BoxProjector
 from geoorbit_ros.calibration.control_point_file import read_control_points
-from geoorbit_ros.calibration.datum import given_datum
-from geoorbit_ros.calibration.homography import fit_homography
+from geoorbit_ros.calibration.datum import Datum, given_datum
+from geoorbit_ros.calibration.homography import Homography, fit_homography
 from geoorbit_ros.conversions import (
     datum_to_fix,
+    decode_table,
     encode_pose_array,
     encode_table,
     plane_message,
     vehicle_poses,
 )
+from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.nodes.support.process import run_node
 from geoorbit_ros.nodes.support.qos import LATCHED, stream_qos
 from geoorbit_ros.nodes.support.road_paint import PLANE_TOPIC
 from geoorbit_ros.nodes.support.table_stream import TableStream
+from geoorbit_ros.view.looks import VIEW_DTYPE, look_of
+from geoorbit_ros.view.memory import named_files
+from geoorbit_ros.view.projection import ViewProjector
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,13 +53,14 @@ class HomographyParameters:
     reliability: str
     queue_depth: int
     restart_jump_s: float
+    view_calibrations: str
 
 
 class HomographyNode(GeoOrbitNode[HomographyParameters]):
-    """Subscribes `tracks_px`; publishes `tracks`, `vehicles`; latched: `datum`, `road_plane`.
+    """Subscribes `tracks_px`, `view`; publishes `tracks`, `vehicles`, and its plane, latched.
 
     Every frame of `tracks_px` that can be used becomes one frame of `tracks` with its stamp, also
-    when no vehicle is left in it.
+    when no vehicle is left in it. Frames that show no calibrated view become none.
 
     Raises:
         GeoOrbitError: A parameter or the calibration file can't be used.
@@ -73,12 +79,8 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
         expected = "parameters datum_latitude_deg and datum_longitude_deg: where (0, 0) is"
         origin = points.need_datum(expected)
         self._homography = fit_homography(points, p.pixel_sigma, p.ground_sigma_m)
-        self._projector = BoxProjector(
-            self._homography,
-            size,
-            reject_truncated=p.reject_truncated,
-            max_sigma_m=p.max_sigma_m,
-        )
+        self._projector = self._projector_of(self._homography)
+        self._views = ViewProjector(self._projector, self._other_views(origin, place))
         for sentence in self._homography.describe_residuals():
             self.get_logger().info(sentence)
         for sentence in self._projector.calibration_report.sentences():
@@ -95,7 +97,9 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
         self._plane = self.create_publisher(Float64MultiArray, PLANE_TOPIC, LATCHED)
         self._plane.publish(plane_message(self._homography, size))
         self._on_road = 0
-        TableStream(self, "tracks_px", PIXEL_TRACK_DTYPE, p, self._on_frame, self._projector.reset)
+        TableStream(self, "tracks_px", PIXEL_TRACK_DTYPE, p, self._on_frame, self._views.reset)
+        self._view_topic = self.resolve_topic_name("view")
+        self.create_subscription(PointCloud2, "view", self._on_view, qos, raw=True)
 
     def diagnostic_values(self) -> Mapping[str, object]:
         """Reprojection error of every control point, and what became of the boxes."""
@@ -111,6 +115,7 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
         return {
             "vehicles": self._on_road,
             "tracks_subscribers": readers,
+            "frames_left_out_by_view": self._views.left_out,
             **counts,
             "remarks": remarks,
             **errors,
@@ -125,13 +130,49 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
         """Lanes are not confirmed while this says something."""
         return "; ".join(self._sentences(doubts=True)) or None
 
+    def _projector_of(self, plane: Homography) -> BoxProjector:
+        p = self.p
+        return BoxProjector(
+            plane,
+            (p.image_width, p.image_height),
+            reject_truncated=p.reject_truncated,
+            max_sigma_m=p.max_sigma_m,
+        )
+
+    def _other_views(self, origin: Datum, place: str) -> dict[int, BoxProjector]:
+        """Projectors of a PTZ camera's other presets, by the number of the view."""
+        p = self.p
+        size = (p.image_width, p.image_height)
+        named = named_files(p.view_calibrations, f"{place}, parameter 'view_calibrations'")
+        return {
+            number: self._projector_of(
+                fit_homography(
+                    read_control_points(str(file), origin, image_size=size),
+                    p.pixel_sigma,
+                    p.ground_sigma_m,
+                )
+            )
+            for number, file in enumerate(named.values(), 1)
+        }
+
     def _on_frame(self, stamp_ns: int, rows: NDArray[np.void]) -> None:
-        ground = self._projector.project(stamp_ns, rows)
-        self._on_road = len(ground)
+        self._publish(self._views.take(stamp_ns, rows))
+
+    def _on_view(self, cdr: bytes) -> None:
+        try:
+            stamp_ns, _, rows = decode_table(cdr, VIEW_DTYPE, self._view_topic)
+            self._publish(self._views.look(look_of(stamp_ns, rows, self._view_topic)))
+        except GeoOrbitError as error:
+            self.diagnostics.refuse(error)
+
+    def _publish(self, frames: Iterable[tuple[int, NDArray[np.void]]]) -> None:
         frame_id = self.p.frame_id
-        self.publish_stream(self.tracks, encode_table(stamp_ns, frame_id, ground))
-        if self._vehicles.get_subscription_count():
-            self._vehicles.publish(encode_pose_array(stamp_ns, frame_id, *vehicle_poses(ground)))
+        for stamp_ns, ground in frames:
+            self._on_road = len(ground)
+            self.publish_stream(self.tracks, encode_table(stamp_ns, frame_id, ground))
+            if self._vehicles.get_subscription_count():
+                poses = vehicle_poses(ground)
+                self._vehicles.publish(encode_pose_array(stamp_ns, frame_id, *poses))
 
 
 def main(args: Sequence[str] | None = None) -> int:

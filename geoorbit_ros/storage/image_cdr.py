@@ -43,9 +43,7 @@ def decode_compressed_image(cdr: bytes, place: str) -> StampedPicture:
     Raises:
         MessageError: A message cut short, or bytes that are no whole image.
     """
-    reader = CdrReader(cdr, place, f"a {COMPRESSED}")
-    stamp_ns, frame_id = reader.header()
-    kind, data = reader.text(), reader.data()
+    stamp_ns, frame_id, kind, data = _compressed(cdr, place)
     decoded = None
     if len(data):
         # A rotated camera would say so in the file: pixels stay where control points expect them.
@@ -58,6 +56,24 @@ def decode_compressed_image(cdr: bytes, place: str) -> StampedPicture:
         found = f"{len(data)} bytes of '{kind}' that are no whole image"
         raise MessageError(place, found, "a JPEG, PNG or other image")
     return stamp_ns, frame_id, np.asarray(decoded, dtype=np.uint8)
+
+
+def compressed_bytes(cdr: bytes, place: str) -> tuple[int, str, memoryview]:
+    """Stamp, frame id and the bytes of the file in a serialised `sensor_msgs/CompressedImage`.
+
+    Raises:
+        MessageError: A message cut short, or without an image.
+    """
+    stamp_ns, frame_id, kind, data = _compressed(cdr, place)
+    if not len(data):
+        raise MessageError(place, f"0 bytes of '{kind}'", "a JPEG, PNG or other image")
+    return stamp_ns, frame_id, data
+
+
+def _compressed(cdr: bytes, place: str) -> tuple[int, str, str, memoryview]:
+    reader = CdrReader(cdr, place, f"a {COMPRESSED}")
+    stamp_ns, frame_id = reader.header()
+    return stamp_ns, frame_id, reader.text(), reader.data()
 
 
 def decode_image(cdr: bytes, place: str) -> StampedPicture:
