@@ -28,7 +28,7 @@ from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.nodes.support.process import run_node
-from geoorbit_ros.nodes.support.qos import LATCHED, stream_qos
+from geoorbit_ros.nodes.support.qos import LATCHED, LOOKS, stream_qos
 from geoorbit_ros.nodes.support.road_paint import PLANE_TOPIC
 from geoorbit_ros.nodes.support.table_stream import TableStream
 from geoorbit_ros.view.looks import VIEW_DTYPE, look_of
@@ -99,7 +99,7 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
         self._on_road = 0
         TableStream(self, "tracks_px", PIXEL_TRACK_DTYPE, p, self._on_frame, self._views.reset)
         self._view_topic = self.resolve_topic_name("view")
-        self.create_subscription(PointCloud2, "view", self._on_view, qos, raw=True)
+        self.create_subscription(PointCloud2, "view", self._on_view, LOOKS, raw=True)
 
     def diagnostic_values(self) -> Mapping[str, object]:
         """Reprojection error of every control point, and what became of the boxes."""
@@ -120,6 +120,12 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
             "remarks": remarks,
             **errors,
         }
+
+    @property
+    def views_until_ns(self) -> int:
+        """Stamp of the latest look at the view; 0 before the first."""
+        look = self._views.motions.latest
+        return look.stamp_ns if look else 0
 
     def _sentences(self, *, doubts: bool = False) -> Iterator[str]:
         """What was done with the control points, and what speaks against the inputs."""

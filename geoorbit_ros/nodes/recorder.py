@@ -19,7 +19,7 @@ from geoorbit_ros.core.errors import GeoOrbitError, MessageError, ParameterError
 from geoorbit_ros.core.tables import TRACK_DTYPE
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.nodes.support.process import run_node
-from geoorbit_ros.nodes.support.qos import LATCHED_ALL, stream_qos
+from geoorbit_ros.nodes.support.qos import LATCHED_ALL, LOOKS
 from geoorbit_ros.nodes.support.table_stream import TableStream
 from geoorbit_ros.storage.database.reader import ViewEvent
 from geoorbit_ros.storage.database.writer import TrajectoryDatabase
@@ -75,9 +75,8 @@ class RecorderNode(GeoOrbitNode[RecorderParameters]):
         TableStream(self, "tracks", TRACK_DTYPE, self.p, self._on_frame, lambda: None)
         self._geojson_topic = self.resolve_topic_name("lanes/geojson")
         self.create_subscription(String, "lanes/geojson", self._on_lanes, LATCHED_ALL, raw=True)
-        qos = stream_qos(self.p.reliability, self.p.queue_depth)
         self._view_topic = self.resolve_topic_name("view")
-        self.create_subscription(PointCloud2, "view", self._on_view, qos, raw=True)
+        self.create_subscription(PointCloud2, "view", self._on_view, LOOKS, raw=True)
         self.create_timer(
             FLUSH_PERIOD_S, self._maintain, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )

@@ -58,16 +58,44 @@ def decode_compressed_image(cdr: bytes, place: str) -> StampedPicture:
     return stamp_ns, frame_id, np.asarray(decoded, dtype=np.uint8)
 
 
-def compressed_bytes(cdr: bytes, place: str) -> tuple[int, str, memoryview]:
-    """Stamp, frame id and the bytes of the file in a serialised `sensor_msgs/CompressedImage`.
+_REDUCED = {
+    1: cv2.IMREAD_GRAYSCALE,
+    2: cv2.IMREAD_REDUCED_GRAYSCALE_2,
+    4: cv2.IMREAD_REDUCED_GRAYSCALE_4,
+    8: cv2.IMREAD_REDUCED_GRAYSCALE_8,
+}
+
+
+def decode_reduced(
+    cdr: bytes, place: str, size: tuple[int, int], step: int
+) -> StampedPicture | None:
+    """A compressed image in grey, reduced while it is decoded: a third of the time of the whole.
+
+    Args:
+        cdr: A serialised `sensor_msgs/CompressedImage`.
+        place: Topic, for the error.
+        size: (width, height) that the whole image is expected to have.
+        step: 1, 2, 4 or 8.
+
+    Returns:
+        Stamp, frame id and (H // step, W // step) of whole pixels; None for an image that can't be
+        decoded, or of another size.
 
     Raises:
-        MessageError: A message cut short, or without an image.
+        MessageError: A message cut short.
     """
-    stamp_ns, frame_id, kind, data = _compressed(cdr, place)
+    stamp_ns, frame_id, _, data = _compressed(cdr, place)
     if not len(data):
-        raise MessageError(place, f"0 bytes of '{kind}'", "a JPEG, PNG or other image")
-    return stamp_ns, frame_id, data
+        return None
+    flag = _REDUCED[step] | cv2.IMREAD_IGNORE_ORIENTATION
+    try:
+        small = cv2.imdecode(np.frombuffer(data, np.uint8), flag)
+    except cv2.error:
+        return None
+    width, height = size
+    if small is None or small.shape != (-(-height // step), -(-width // step)):
+        return None
+    return stamp_ns, frame_id, np.asarray(small[: height // step, : width // step], np.uint8)
 
 
 def _compressed(cdr: bytes, place: str) -> tuple[int, str, str, memoryview]:

@@ -80,6 +80,7 @@ class ViewLook:
         moved_px: By how much the image lies away from the reference view, in the mean over it.
         since_ns: Since when the state holds.
         blindness: Why, where it is blind.
+        measured: False where the view was not found, once, and the look before still holds.
     """
 
     stamp_ns: int
@@ -91,6 +92,7 @@ class ViewLook:
     moved_px: float = 0.0
     since_ns: int = 0
     blindness: Blindness = Blindness.NONE
+    measured: bool = True
 
     @property
     def usable(self) -> bool:

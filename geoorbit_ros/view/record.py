@@ -75,13 +75,20 @@ class ViewRecord:
     def span_ns(self) -> tuple[int, int]:
         """First and last look at the main view."""
         main = self.main_view
-        stamps = [look.stamp_ns for look in self._looks if look.usable and look.view == main]
+        stamps = [look.stamp_ns for look in self._known() if look.usable and look.view == main]
         return (stamps[0], stamps[-1]) if stamps else (0, 0)
+
+    def _known(self) -> Iterator[ViewLook]:
+        """The looks; the view is not taken for granted where it was lost for longer than a look."""
+        following = [*self._looks[1:], None]
+        for look, after in zip(self._looks, following, strict=True):
+            lost = not look.measured and after is not None and not after.usable
+            yield replace(look, sigma_px=math.inf, view=NO_VIEW) if lost else look
 
     def motions(self) -> Iterator[ViewLook]:
         """The looks, with the view that is seen longest as the calibrated one."""
         main = self.main_view
-        for look in self._looks:
+        for look in self._known():
             if look.view == main:
                 yield replace(look, view=MAIN_VIEW)
             else:

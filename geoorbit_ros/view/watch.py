@@ -208,6 +208,7 @@ class ViewWatch:
                 before.sway_px,
                 before.moved_px,
                 before.since_ns,
+                measured=False,
             )
         if empty:
             self._candidate = None

@@ -7,16 +7,13 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-import cv2
-import numpy as np
-from numpy.typing import NDArray
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CompressedImage, Image
 
 from geoorbit_ros.core.cdr import stamp_of
 from geoorbit_ros.core.errors import GeoOrbitError, MessageError
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
-from geoorbit_ros.storage.image_cdr import compressed_bytes, decode_compressed_image, decode_image
+from geoorbit_ros.storage.image_cdr import decode_compressed_image, decode_image, decode_reduced
 from geoorbit_ros.view.picture import Grey, picture_of, reduction
 
 STOP_TIMEOUT_S = 10.0
@@ -25,12 +22,6 @@ HEAD_BYTES = 12
 """Of a message: encapsulation and stamp. What follows is the same where the image is."""
 _WAIT_S = 0.2
 """Between two looks whether the thread should end. Chosen: larger, it ends later."""
-_REDUCED = {
-    2: cv2.IMREAD_REDUCED_GRAYSCALE_2,
-    4: cv2.IMREAD_REDUCED_GRAYSCALE_4,
-    8: cv2.IMREAD_REDUCED_GRAYSCALE_8,
-}
-
 OnPicture = Callable[[int, str, Grey, tuple[int, int]], None]
 
 
@@ -120,23 +111,12 @@ class PictureStream:
     def _picture(self, cdr: bytes, compressed: bool, place: str) -> tuple[int, str, Grey]:
         """Stamp, frame id and picture; a JPEG is reduced while it is decoded."""
         if compressed and self._size is not None:
-            width, height = self._size
-            step = reduction(width)
-            stamp_ns, frame_id, data = compressed_bytes(cdr, place)
-            flag = _REDUCED.get(step, cv2.IMREAD_GRAYSCALE) | cv2.IMREAD_IGNORE_ORIENTATION
-            small = _decoded(data, flag)
-            if small is not None and small.shape == (-(-height // step), -(-width // step)):
-                whole = small[: height // step, : width // step]
-                return stamp_ns, frame_id, picture_of(whole, 1)
+            step = reduction(self._size[0])
+            reduced = decode_reduced(cdr, place, self._size, step)
+            if reduced is not None:
+                stamp_ns, frame_id, grey = reduced
+                return stamp_ns, frame_id, picture_of(grey, 1)
         decode = decode_compressed_image if compressed else decode_image
         stamp_ns, frame_id, image = decode(cdr, place)
         self._size = (image.shape[1], image.shape[0])
         return stamp_ns, frame_id, picture_of(image, reduction(image.shape[1]))
-
-
-def _decoded(data: memoryview, flag: int) -> NDArray[np.uint8] | None:
-    try:
-        found = cv2.imdecode(np.frombuffer(data, np.uint8), flag)
-    except cv2.error:
-        return None
-    return None if found is None else np.asarray(found, np.uint8)

@@ -18,15 +18,12 @@ from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.markings.fusion import RoadPaint
 from geoorbit_ros.markings.road_image import SPACING_S, RoadBackground
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
-from geoorbit_ros.nodes.support.qos import LATCHED, stream_qos
+from geoorbit_ros.nodes.support.qos import LATCHED, LOOKS
 from geoorbit_ros.storage.image_cdr import decode_compressed_image
 from geoorbit_ros.view.compensation import ViewMotions, image_in_reference
 from geoorbit_ros.view.looks import VIEW_DTYPE, ViewLook, look_of
 
 TOPIC, PLANE_TOPIC = "road_image/compressed", "road_plane"
-LOOKS = 64
-"""Looks at the view that wait for the next image of the background: five seconds of a camera that
-shakes."""
 FIRST_S = 30.0
 """Time of the first background: 15 images. Chosen: earlier, vehicles are left in it."""
 
@@ -45,11 +42,10 @@ class RoadImagePublisher:
         self._due_s = min(FIRST_S, period_s)
         self._work: threading.Thread | None = None
         self.published = 0
-        self._looks: deque[ViewLook] = deque(maxlen=LOOKS)
+        self._looks: deque[ViewLook] = deque(maxlen=LOOKS.depth)
         self._motions: ViewMotions | None = None
         self._view_topic = node.resolve_topic_name("view")
-        qos = stream_qos("best_effort", LOOKS)
-        node.create_subscription(PointCloud2, "view", self._on_view, qos, raw=True)
+        node.create_subscription(PointCloud2, "view", self._on_view, LOOKS, raw=True)
         self.restart()
 
     def restart(self) -> None:
