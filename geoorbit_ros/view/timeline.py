@@ -10,11 +10,9 @@ import numpy as np
 from geoorbit_ros.view.looks import MAIN_VIEW, Blindness, ViewLook, ViewState
 
 QUICK_S = 3.0
-"""A move that was complete within this time is a bump, a slower one a drift."""
+"""A move that was mostly complete after this time is a bump, a slower one a drift."""
 GREW_SHARE = 0.6
-"""Of its size, at its first look: less is a drift."""
-LEAST_S = 1.0
-"""Shorter stretches of an unknown view are left out: a lorry passed."""
+"""So much of its size it must have had by then. Chosen: a bumped pole creeps on a little."""
 
 _BLIND = {
     Blindness.NO_PATTERN: "the image shows nothing: dark, covered, dirty or fogged",
@@ -36,7 +34,7 @@ class ViewStretch:
         moved_px: How far the view lies away at its last look.
         right_px: To the right, in the middle of the image.
         down_px: Downwards.
-        first_moved_px: How far it lay away when the move was noticed.
+        first_moved_px: How far it lay away in its first seconds.
         sway_px: Largest sway.
         found_s: How long after its beginning the view was found where it lies now.
     """
@@ -145,8 +143,10 @@ class ViewTimeline:
             same = same and last is not None and last.view == look.view
         right, down = self._shift(look)
         if last is not None and same:
+            quick = look.stamp_ns - last.first_ns <= QUICK_S * 1e9
             self.stretches[-1] = replace(
                 last,
+                first_moved_px=look.moved_px if quick else last.first_moved_px,
                 last_ns=look.stamp_ns,
                 view=look.view,
                 moved_px=look.moved_px,
