@@ -148,7 +148,8 @@ def boxes_in_reference(
     """Boxes of an image where they would be in the reference view.
 
     The middles of their edges are moved, so that a turned box does not grow. Boxes that the border
-    of this image cuts are flagged: in the reference they may lie inside.
+    of this image cuts are flagged: in the reference they may lie inside. Those that would lie
+    outside of it are left out.
 
     Args:
         rows: (N,) `PIXEL_TRACK_DTYPE`, or another table with boxes and flags.
@@ -169,7 +170,8 @@ def boxes_in_reference(
     out["y"], out["height"] = (top[:, 1] + bottom[:, 1]) / 2, bottom[:, 1] - top[:, 1]
     flagged = cut & ((rows["flags"] & FLAG_GROUND_POINT) == 0)
     out["flags"][flagged] |= np.uint32(FLAG_TRUNCATED)
-    return out
+    inside = (right[:, 0] > 0) & (bottom[:, 1] > 0) & (left[:, 0] < size[0]) & (top[:, 1] < size[1])
+    return np.asarray(out[inside])
 
 
 def image_in_reference(image: NDArray[np.uint8], at: ViewAt) -> NDArray[np.uint8] | None:

@@ -16,9 +16,9 @@ from geoorbit_ros.view.place import Place
 from geoorbit_ros.view.reference import LEAST_CORNERS, Match, corners
 from geoorbit_ros.view.repeats import RepeatWatch
 
-PERIODS_S = (0.27, 0.35, 0.31)
-"""Time between looks, in turn. Chosen: at 720p three looks a second take less than 2 % of a core;
-with one period a sway of that frequency would look like none."""
+PERIODS_S = (0.36, 0.46, 0.41)
+"""Time between looks, in turn. Chosen: at 720p they take little more than 1 % of a core, and a bump
+is noticed within a second; with one period a sway of that frequency would look like none."""
 SHAKING_PERIOD_S = 0.08
 """Time between looks at a camera that shakes. Chosen: a sway of 2 Hz is known between two of them
 to a tenth of its size; shorter takes more time."""
