@@ -15,9 +15,9 @@ images (encoding, decoding, moving the image) are no part of the cost.
     python benchmarks/view.py --films FILM …
 
 False alarms: hours of a rendered road in day, dusk, night and rain, which change over into each
-other, two images a second; with FILMS, these in a loop, with light that changes.
+other; with FILMS, these in a loop, with light that changes.
 
-    python benchmarks/view.py --hours 24 [--films FILM …]
+    python benchmarks/view.py --hours 24 [--every 0.5] [--films FILM …]
 """
 
 from __future__ import annotations
@@ -304,27 +304,27 @@ def read(path: Path, most: int = 1500) -> Film:
     return film
 
 
-def day(hours: float, films: Sequence[Film]) -> dict[str, object]:
+def day(hours: float, every_s: float, films: Sequence[Film]) -> dict[str, object]:
     """Looks at hours of changing light; what was told although nothing happened."""
     lights = films or [in_light("motorway_4x4", light, rain=r) for light in LIGHTS for r in (0, 1)]
     order = [0, 1, 0, 2, 4, 5, 3, 1] if not films else list(range(len(films)))
     watch, rng = ViewWatch(repeats_allowed=True), np.random.default_rng(2)
-    images = round(hours * 3600 * 2)
+    images = round(hours * 3600 / every_s)
     states: dict[str, int] = {}
     far: list[float] = []
     told: list[tuple[float, str]] = []
     part = images / len(order)
     for k in range(images):
-        stamp_ns = START_NS + k * 500_000_000
+        stamp_ns = START_NS + round(k * every_s * 1e9)
         if films and k % max(round(part), 1) == 0:  # another camera
             watch = ViewWatch(repeats_allowed=True)
         if not watch.due(stamp_ns):
             continue
         at, share = divmod(k / part, 1.0)
-        image = lights[order[int(at) % len(order)]].image(_frame(lights[0], k, films))
+        image = lights[order[int(at) % len(order)]].image(k)
         if films:
             film = films[int(at) % len(films)]
-            image = film.image(_frame(film, k, films))
+            image = film.image(round(k * film.fps * every_s))
             gain = 0.55 + 0.45 * np.cos(2.0 * np.pi * share * 3.0)
             image = np.clip(image * max(gain, 0.12), 0, 255).astype(np.uint8)
         elif share > 0.6:
@@ -339,19 +339,16 @@ def day(hours: float, films: Sequence[Film]) -> dict[str, object]:
             size = (image.shape[1], image.shape[0])
             far.append(size_of_move(look.motion, size) * SIZE[0] / size[0])
         if look.state not in (ViewState.UNKNOWN, ViewState.STEADY):
-            told.append((k / 2.0, look.state.name))
+            told.append((k * every_s, look.state.name))
     return {
         "hours": hours,
+        "looks": sum(states.values()),
         "states": states,
         "motion_px": {q: float(np.quantile(far, float(q))) for q in ("0.5", "0.99", "1.0")},
         "false_alarms": len(list(itertools.groupby(told, key=lambda k: k[1]))),
         "first": told[:3],
         "references": len(watch.places[0].references),
     }
-
-
-def _frame(film: Film, k: int, films: Sequence[Film]) -> int:
-    return round(k * film.fps / 2.0) if films else k
 
 
 def in_light(name: str, light: str, *, rain: int) -> Film:
@@ -397,12 +394,13 @@ def main() -> None:
     parser.add_argument("--scenes", default="s_curve,motorway_4x4")
     parser.add_argument("--films", type=Path, nargs="*", default=[])
     parser.add_argument("--hours", type=float)
+    parser.add_argument("--every", type=float, default=0.5, metavar="SECONDS")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     cv2.setNumThreads(1)
     films = [read(path) for path in options.films]
     if options.hours:
-        console.print_json(data=day(options.hours, films))
+        console.print_json(data=day(options.hours, options.every, films))
         return
     outcomes: list[Outcome] = []
     films = films or [rendered(name) for name in options.scenes.split(",")]

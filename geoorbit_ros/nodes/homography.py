@@ -88,6 +88,7 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
         if self._projector.pose_error is not None:
             self.get_logger().warning(str(self._projector.pose_error))
         self.diagnostics.add_check(self._doubt)
+        self.diagnostics.add_check(self._view_fault)
 
         qos = stream_qos(p.reliability, p.queue_depth)
         self.tracks = self.create_publisher(PointCloud2, "tracks", qos)
@@ -160,6 +161,14 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
             )
             for number, file in enumerate(named.values(), 1)
         }
+
+    def _view_fault(self) -> str | None:
+        """Why there are no tracks, while the image shows no calibrated view."""
+        look = self._views.motions.latest
+        if look is None or self._views.shows(look):
+            return None
+        state = look.state.name.lower().replace("_", " ")
+        return f"no tracks, lanes are held: the view is {state} (node view_watch says why)"
 
     def _on_frame(self, stamp_ns: int, rows: NDArray[np.void]) -> None:
         self._publish(self._views.take(stamp_ns, rows))

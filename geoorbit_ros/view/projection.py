@@ -49,6 +49,10 @@ class ViewProjector:
         for projector in self._projectors.values():
             projector.reset()
 
+    def shows(self, look: ViewLook) -> bool:
+        """Whether a look's image shows a view that is calibrated."""
+        return look.usable and look.view in self._projectors
+
     def take(self, stamp_ns: int, rows: NDArray[np.void]) -> Iterator[tuple[int, NDArray[np.void]]]:
         """Take a frame of `PIXEL_TRACK_DTYPE`; those that are done, `TRACK_DTYPE`.
 

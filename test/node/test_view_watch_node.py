@@ -58,16 +58,16 @@ def test_a_bump_is_on_the_topic_in_the_diagnostics_and_known_after_a_restart(
     def send(time_s: float, image: NDArray[np.uint8], count: int) -> None:
         for k in range(count):
             before = node.looks
-            stamp_ns = round((time_s + 0.4 * k) * SECOND_NS)
+            stamp_ns = round((time_s + 0.5 * k) * SECOND_NS)
             shown = image.copy()
             shown[:20, :20] = 4 * k  # the same image again would be a frozen one
             images.publish(encode_jpeg(stamp_ns, "north", shown, 95))
             probe.until(lambda seen=before: node.looks > seen, "a look")  # type: ignore[misc]
 
-    send(1.0, here, 26)
+    send(1.0, here, 22)
     send(12.0, bumped, 6)
-    probe.until(lambda: len(looks) == 32, "the looks")
-    assert looks[25][2]["state"][0] == ViewState.STEADY
+    probe.until(lambda: len(looks) == 28, "the looks")
+    assert looks[21][2]["state"][0] == ViewState.STEADY
     row = looks[-1][2][0]
     assert row["state"] == ViewState.MOVED
     assert abs(row["m02"] - 14.0) < 0.3

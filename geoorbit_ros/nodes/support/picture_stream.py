@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -74,17 +75,18 @@ class PictureStream:
 
     def _receive(self, compressed: bool, place: str, cdr: bytes) -> None:
         self.received += 1
+        start_s = time.perf_counter()
         if len(cdr) < HEAD_BYTES:
             found = f"{len(cdr)} bytes"
             self._node.diagnostics.refuse(MessageError(place, found, "an image with its stamp"))
             return
         stamp_ns = stamp_of(cdr)
         self._on_bytes(stamp_ns, memoryview(cdr)[HEAD_BYTES:])
-        if not self._due(stamp_ns):
-            return
-        with self._change:
-            self._waiting = (cdr, compressed, place)
-            self._change.notify_all()
+        if self._due(stamp_ns):
+            with self._change:
+                self._waiting = (cdr, compressed, place)
+                self._change.notify_all()
+        self._node.diagnostics.took(time.perf_counter() - start_s)
 
     def _run(self) -> None:
         try:
