@@ -14,6 +14,11 @@ images (encoding, decoding, moving the image) are no part of the cost.
 
     python benchmarks/view.py --films FILM …
 
+With FOLDER, real cameras: FOLDER/NAME/ has `image.png`, `calibration.csv` and `tracks.csv`. The
+image stands still behind grey vehicles at the places of the tracks, and both are moved.
+
+    python benchmarks/view.py --cameras FOLDER [--names NAME,…]
+
 False alarms: hours of a rendered road in day, dusk, night and rain, which change over into each
 other; with FILMS, these in a loop, with light that changes.
 
@@ -40,7 +45,7 @@ from geoorbit_ros.calibration.box_projector import BoxProjector
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.calibration.plane import Homography
 from geoorbit_ros.cli.console import console
-from geoorbit_ros.cli.inputs import make_mapper
+from geoorbit_ros.cli.inputs import load_camera, make_mapper
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.lanes.pipeline import map_lanes
 from geoorbit_ros.metrics.score import score_lanes
@@ -77,6 +82,42 @@ class Film:
         """The k-th image, again from the beginning after the last."""
         data = self.images[k % len(self.images)]
         return np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), dtype=np.uint8)
+
+
+@dataclass
+class Still(Film):
+    """One image, with a grey vehicle at each box."""
+
+    picture: Image = field(default_factory=lambda: np.zeros((0, 0, 3), np.uint8))
+
+    def image(self, k: int) -> Image:
+        """The image at the time of the k-th boxes."""
+        shown = self.picture.copy()
+        height, width = (int(0.05 * side) for side in shown.shape[:2])
+        for row in self.boxes[k % len(self.boxes)]:
+            x, y = int(row["x"]), int(row["y"])
+            corner = (x + width // 2, y)
+            cv2.rectangle(shown, (x - width // 2, y - height), corner, (90, 90, 90), -1)
+        return shown
+
+
+def cameras(folder: Path, names: Sequence[str], fps: float = 25.0) -> Iterator[Still]:
+    """Real cameras with an image and tracks, whose first minute is taken."""
+    for case in sorted(path.parent for path in folder.glob("*/image.png")):
+        if names and case.name not in names:
+            continue
+        image = np.asarray(cv2.imread(str(case / "image.png")), dtype=np.uint8)
+        size = (image.shape[1], image.shape[0])
+        text = "{}x{}".format(*size)
+        tracks, points = case / "tracks.csv", case / "calibration.csv"
+        camera = load_camera(tracks, None, points, case.name, text, None, Path("none.html"))
+        film = Still(case.name, fps, plane=camera.homography, size=size, picture=image)
+        number = ((camera.frames.stamp_ns - camera.frames.stamp_ns[0]) * fps / 1e9).round()
+        first = {int(n): k for k, n in reversed(list(enumerate(number.tolist())))}
+        nothing = camera.frames.rows[:0]
+        for k in range(round(DURATION_S * fps)):
+            film.boxes.append(camera.frames.frame(first[k]) if k in first else nothing)
+        yield film
 
 
 @dataclass(frozen=True)
@@ -393,12 +434,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--scenes", default="s_curve,motorway_4x4")
     parser.add_argument("--films", type=Path, nargs="*", default=[])
+    parser.add_argument("--cameras", type=Path, metavar="FOLDER")
+    parser.add_argument("--names", default="")
     parser.add_argument("--hours", type=float)
     parser.add_argument("--every", type=float, default=0.5, metavar="SECONDS")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     cv2.setNumThreads(1)
     films = [read(path) for path in options.films]
+    if options.cameras:
+        films += cameras(options.cameras, [k for k in options.names.split(",") if k])
     if options.hours:
         console.print_json(data=day(options.hours, options.every, films))
         return
@@ -407,7 +452,7 @@ def main() -> None:
     for film, other in zip(films, [*films[1:], films[0]], strict=True):
         still: LaneMap | None = None
         if other is film:
-            other = Film("upside down", film.fps, [np.asarray(k) for k in film.images])
+            other = Film("nothing", film.fps, [cv2.imencode(".png", film.image(0)[::-1])[1]])
         for case in cases():
             outcome, lane_map = run(film, other, case, still)
             still = still or (lane_map if film.plane is not None else None)
