@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections import deque
 from dataclasses import dataclass
 
 import cv2
@@ -67,15 +66,16 @@ class ViewMotions:
     def __init__(self, image_size: tuple[int, int], memory_s: float = MEMORY_S) -> None:
         self._size, self._memory_s = image_size, memory_s
         self._unit = image_size[0] / 1280.0
-        self._looks: deque[ViewLook] = deque()
+        self._looks: list[ViewLook] = []  # a deque is slow to search in
 
     def add(self, look: ViewLook) -> None:
         """Take a look; one that is not later than the last begins anew."""
         if self._looks and look.stamp_ns <= self._looks[-1].stamp_ns:
             self._looks.clear()
         self._looks.append(look)
-        while look.stamp_ns - self._looks[0].stamp_ns > self._memory_s * 1e9:
-            self._looks.popleft()
+        if look.stamp_ns - self._looks[0].stamp_ns > self._memory_s * 1e9:
+            oldest_ns = look.stamp_ns - round(self._memory_s * 1e9)
+            del self._looks[: bisect_right(self._looks, oldest_ns, key=lambda k: k.stamp_ns)]
 
     @property
     def latest(self) -> ViewLook | None:
