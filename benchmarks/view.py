@@ -271,6 +271,13 @@ def run(film: Film, other: Film, case: Case, still: LaneMap | None) -> tuple[Out
     distance, changed, lanes_unwatched = None, 0, None
     if film.plane is not None:
         lane_map, left_out = lanes_of(film, case, looks)
+        if still is not None and any(case.motion(t) is None for t in np.arange(0.0, DURATION_S)):
+            gap = Case(
+                case.name,
+                lambda t: case.motion(t) if case.motion(t) is None else np.eye(3),
+                case.expected,
+            )
+            still, _ = lanes_of(film, gap, [])
         if still is not None:
             distance, changed = apart(lane_map, still)
             unwatched, _ = lanes_of(film, case, [])

@@ -18,9 +18,10 @@ MEMORY_S = 30.0
 """Looks are kept for so long. Chosen: longer than detector and tracker are ever behind."""
 FOLLOWS_S = 0.5
 """Looks farther apart than this say nothing about the time between them where the view moved."""
-SWING_SHARE = 0.3
-"""Of the distance between two looks: 1-sigma error of a straight line between them at a sway. A
-sway of 2 Hz looked at every 0.08 s leaves it by a fifth at most."""
+LINE_SHARE, CURVE_SHARE = 0.12, 0.03
+"""Of the distance between two looks: 1-sigma error of a straight line between them, and of a cubic
+through the two before and after as well. A sway of 2 Hz that is looked at every 0.08 s leaves the
+line by 12 % of its amplitude at most and the cubic by 2 %."""
 JUMP_PX = 2.0
 """A steady view that lies so much elsewhere at the next look, at 1280 px width, was bumped at some
 time between them: those images are not used. Chosen: as `movement.MOVED_PX`."""
@@ -98,30 +99,48 @@ class ViewMotions:
         k = bisect_right(self._looks, stamp_ns, key=lambda look: look.stamp_ns)
         before = self._looks[k - 1] if k else None
         after = self._looks[k] if k < len(self._looks) else None
+        if before is not None and before.stamp_ns == stamp_ns:
+            return self._of(before, before.sigma_px)
         if before is None or after is None:
             only = before or after
             if only is None or abs(stamp_ns - only.stamp_ns) > SILENT_S * 1e9:
                 return AS_IT_IS
             return self._of(only, math.hypot(only.sigma_px, only.sway_px))
         if not (before.usable and after.usable) or before.view != after.view:
-            return self._of(before, before.sigma_px) if stamp_ns == before.stamp_ns else UNUSABLE
-        return self._between(before, after, stamp_ns)
+            return UNUSABLE
+        return self._between(k, stamp_ns)
 
-    def _between(self, before: ViewLook, after: ViewLook, stamp_ns: int) -> ViewAt:
+    def _between(self, k: int, stamp_ns: int) -> ViewAt:
+        """At a time before the k-th look and after the one before."""
+        before, after = self._looks[k - 1], self._looks[k]
         span_ns = after.stamp_ns - before.stamp_ns
         step_px = size_of_move(after.motion @ np.linalg.inv(before.motion), self._size)
-        if stamp_ns == before.stamp_ns:
-            return self._of(before, before.sigma_px)
         far = span_ns > FOLLOWS_S * 1e9
         jumped = step_px > JUMP_PX * self._unit and not self._shakes(before)
         if jumped or (far and step_px > JUMP_PX * self._unit):
             return UNUSABLE
         share = (stamp_ns - before.stamp_ns) / span_ns
         motion = (1.0 - share) * before.motion + share * after.motion
-        sigma_px = math.hypot(max(before.sigma_px, after.sigma_px), SWING_SHARE * step_px)
+        left_px = LINE_SHARE * step_px
+        if self._shakes(before) and (curve := self._curve(k, stamp_ns)) is not None:
+            motion, left_px = curve, CURVE_SHARE * step_px
+        sigma_px = math.hypot(max(before.sigma_px, after.sigma_px), left_px)
         if far:
             sigma_px = math.hypot(sigma_px, before.sway_px)
         return _view_at(before.view, motion, sigma_px)
+
+    def _curve(self, k: int, stamp_ns: int) -> Matrix | None:
+        """The motion by a cubic (Lagrange) through four looks; None where they are far apart."""
+        near = self._looks[max(k - 2, 0) : k + 2]
+        times = [(look.stamp_ns - stamp_ns) / 1e9 for look in near]
+        alike = all(look.usable and look.view == near[0].view for look in near)
+        if len(near) < 4 or not alike or times[-1] - times[0] > FOLLOWS_S:
+            return None
+        motion = np.zeros((3, 3))
+        for at_s, look in zip(times, near, strict=True):
+            others = [other for other in times if other != at_s]
+            motion += look.motion * math.prod(other / (other - at_s) for other in others)
+        return motion
 
     def _shakes(self, look: ViewLook) -> bool:
         return look.state is ViewState.SHAKING or look.sway_px > 0.8 * self._unit

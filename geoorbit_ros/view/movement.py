@@ -72,7 +72,7 @@ class Movement:
         if self._looks and stamp_ns <= self._looks[-1][0]:
             self._looks.clear()
         self._looks.append((stamp_ns, motion, sigma_px))
-        while stamp_ns - self._looks[0][0] > SHAKEN_S * 1e9:
+        while len(self._looks) > 2 * LATEST and stamp_ns - self._looks[0][0] > SHAKEN_S * 1e9:
             self._looks.popleft()
         place = np.array([displacement(m, size).mean(axis=0) for _, m, _ in self._looks])
         stamps = np.array([stamp for stamp, _, _ in self._looks])

@@ -78,9 +78,28 @@ def test_between_two_looks_a_shaking_camera_is_on_its_way() -> None:
     found = motions(look(1.0, -3.0, shaking, sway_px=3.0), look(1.1, 3.0, shaking, sway_px=3.0))
     assert right_at(found, 1.05) == pytest.approx(0.0, abs=1e-9)
     assert right_at(found, 1.075) == pytest.approx(1.5)
-    assert found.at(round(1.05 * SECOND)).sigma_px > 1.0
+    assert found.at(round(1.05 * SECOND)).sigma_px > 0.5
     assert found.must_wait(round(1.15 * SECOND), round(1.2 * SECOND))
     assert not found.must_wait(round(1.15 * SECOND), round(1.9 * SECOND))
+
+
+def test_a_sway_of_two_hertz_is_known_between_the_looks() -> None:
+    def swing(time_s: float) -> float:
+        return 5.6 * math.sin(4.0 * math.pi * time_s)
+
+    looks = [look(0.08 * k, swing(0.08 * k), ViewState.SHAKING, sway_px=4.0) for k in range(1, 30)]
+    found = motions(*looks)
+    times = np.arange(0.5, 2.0, 0.013).tolist()
+    off = np.array([right_at(found, time_s) - swing(time_s) for time_s in times])
+    assert np.abs(off).max() < 0.15
+    sigma = [found.at(round(time_s * SECOND)).sigma_px for time_s in times]
+    assert max(sigma) < 0.3
+
+
+def test_the_sway_is_no_error_of_an_image_that_was_looked_at() -> None:
+    found = motions(look(1.0, -3.0, ViewState.SHAKING, sway_px=3.0))
+    assert found.at(SECOND).sigma_px == 0.1
+    assert found.at(SECOND + 10**7).sigma_px > 3.0
 
 
 def test_images_around_a_bump_are_left_out() -> None:

@@ -198,3 +198,20 @@ def test_presets_are_recognised_by_their_pictures(tmp_path: Path) -> None:
     assert looks[10][1].view == 0
     assert {look.view for t, look in looks if t > 14.0} == {1}
     assert looks[-1][1].state is ViewState.STEADY
+
+
+def test_a_drift_is_seen_although_all_that_the_image_shows_changes_meanwhile() -> None:
+    """Snow, leaves, another sun: references follow the picture, not the camera."""
+    noise = np.random.default_rng(0).normal(0.0, 1.0, HERE.shape[:2]).astype(np.float32)
+    soft = cv2.GaussianBlur(noise, (0, 0), 12.0)
+    order = np.argsort(np.argsort(soft.ravel())).reshape(soft.shape) / soft.size
+    watcher, later = ViewWatch(), scenery(7)
+    for k in range(300):
+        image, motion = HERE.copy(), shifted(0.015 * k, -0.01 * k)
+        changed = order < 0.9 * k / 300
+        image[changed] = later[changed]
+        look = watcher.look((1 + 3 * k) * 10**9, view(image, motion))
+    assert len(watcher.places) == 1
+    assert len(watcher.places[0].references) > 1
+    assert look.state is ViewState.MOVED
+    assert size_of_move(look.motion @ np.linalg.inv(motion), SIZE) < 0.4, "of five pixels"
