@@ -62,7 +62,7 @@ class Place:
     _kept_ns: int = 0
     _renewed_ns: int = 0
     _kept: deque[tuple[Grey, Matrix]] = field(default_factory=lambda: deque(maxlen=MEDIAN_OF))
-    _middles: list[tuple[int, NDArray[np.float64]]] = field(default_factory=list)
+    _middles: list[NDArray[np.float64]] = field(default_factory=list)
     _shares: deque[float] = field(default_factory=lambda: deque(maxlen=MEDIAN_OF))
 
     @staticmethod
@@ -119,7 +119,7 @@ class Place:
         """Keep pictures for a new reference, and make one when the old ones show too little."""
         spacing_s = SPACING_S if self.settled else FIRST_SPACING_S
         if not self.settled:
-            self._middles.append((stamp_ns, self.motion[:2, 2]))
+            self._middles.append(self.motion[:2, 2])
         if 0 <= stamp_ns - self._kept_ns < spacing_s * 1e9:
             return
         if match.sigma_px > SURE_SIGMA_PX or match.share < LEAST_SHARE:
@@ -148,9 +148,8 @@ class Place:
 
         A camera that sways shows its first picture at the end of a swing as well as in the middle.
         """
-        stamps = np.array([stamp_ns for stamp_ns, _ in self._middles], np.float64)
-        # Looks come at uneven times: each stands for the time around it.
-        middle = np.average([m for _, m in self._middles], axis=0, weights=np.gradient(stamps))
+        # Looks of a camera that shakes are dense; the few before that would weigh too much by time.
+        middle = np.mean(self._middles, axis=0)
         centre = shifted(*middle.tolist())
         from_centre = [(p, m @ np.linalg.inv(centre)) for p, m in self._kept]
         self.references = [Reference(_median([warped_back(p, m) for p, m in from_centre]))]
