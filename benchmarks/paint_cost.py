@@ -25,6 +25,7 @@ from typing import Any
 from rclpy.node import Node
 from sensor_msgs.msg import CompressedImage, PointCloud2
 
+from geoorbit_ros.calibration.control_point_writer import write_control_points
 from geoorbit_ros.conversions import encode_jpeg
 from geoorbit_ros.nodes.detector import DetectorNode
 from geoorbit_ros.nodes.homography import HomographyNode
@@ -33,7 +34,6 @@ from geoorbit_ros.nodes.support.composition import Composition
 from geoorbit_ros.nodes.support.qos import stream_qos
 from geoorbit_ros.nodes.support.road_paint import PaintListener, RoadImagePublisher
 from geoorbit_ros.rendering.rendered_scene import render_scene
-from geoorbit_ros.scenes.output import calibration_text
 from geoorbit_ros.scenes.scene import load_scene
 from geoorbit_ros.scenes.simulate import simulate
 from geoorbit_ros.storage.pointcloud2 import encode_table
@@ -67,9 +67,7 @@ def play(nodes: Composition, scene_name: str, calibration: Path) -> None:
     scene = load_scene(scene_name)
     duration_s = WARM_UP_S + MEASURED_S
     run = simulate(scene, duration_s, SEED)
-    points = run.control_points
-    geodetic = run.datum.to_geodetic(points.local_m)
-    calibration.write_text(calibration_text(points.pixel, geodetic), encoding="utf-8")
+    write_control_points(calibration, run.control_points)
     width, height = run.image_size
     size = {"image_width": width, "image_height": height}
     lanes = nodes.make(LaneGeometryNode, CAMERA, LOSSLESS)

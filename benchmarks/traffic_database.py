@@ -26,13 +26,14 @@ from geoorbit_ros.core.lanes import Lane, lane_of_map
 from geoorbit_ros.core.polylines import offset_line
 from geoorbit_ros.core.tables import TRACK_DTYPE, Frames
 from geoorbit_ros.storage.database.schema import encode_rows
-from geoorbit_ros.storage.database.traffic import SeriesName, TrafficDatabase, TrafficReader
+from geoorbit_ros.storage.database.traffic import TrafficDatabase, TrafficReader
+from geoorbit_ros.storage.database.traffic_series import SeriesName
 from geoorbit_ros.traffic.class_schemes import SCHEMES
 from geoorbit_ros.traffic.count import all_measures, record
 from geoorbit_ros.traffic.counter import TrafficCounter
 from geoorbit_ros.traffic.follower import TrafficFollower
 from geoorbit_ros.traffic.interval_clock import GAP_S, NS, IntervalClock
-from geoorbit_ros.traffic.live import StampedLanes
+from geoorbit_ros.traffic.lane_maps import StampedLanes
 from geoorbit_ros.traffic.packed import pack_measures
 
 BEGIN_NS = int(datetime(2026, 10, 18, tzinfo=UTC).timestamp()) * NS

@@ -218,7 +218,7 @@ def run_ordinary(first: int, hours: float) -> None:
         watched_s += PIECE_S
         for row in rows[rows["state"] == EventState.BEGAN]:
             good = is_real(row, record, run.truth)
-            real, false = real + good, false + (not good)
+            real, false = real + bool(good), false + (not good)
             show(f"{scene.name} {seed} {'real' if good else 'FALSE'}", row)
         print(f"{number} {scene.name}: {watched_s / 3600:.1f} h", file=sys.stderr, flush=True)
         number += 1

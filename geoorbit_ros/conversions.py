@@ -33,9 +33,10 @@ from std_msgs.msg import (
 from visualization_msgs.msg import Marker, MarkerArray
 
 from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.calibration.lens import Lens
 from geoorbit_ros.calibration.plane import RoadPlane
 from geoorbit_ros.core.cdr import ENCAPSULATION, SECOND_NS, CdrReader, CdrWriter, with_stamp
-from geoorbit_ros.core.errors import MessageError
+from geoorbit_ros.core.errors import CalibrationError, MessageError
 from geoorbit_ros.core.lanes import Lane, LaneMap
 from geoorbit_ros.storage.pointcloud2 import decode_table, encode_table
 
@@ -81,9 +82,13 @@ DASH_M, DASH_PERIOD_M = 3.0, 9.0
 """Dashes as markers show them: 3 m of 9 m, a usual lane line."""
 JPEG_FORMAT, PNG_FORMAT = "bgr8; jpeg compressed bgr8", "bgr8; png compressed bgr8"
 """As compressed_image_transport writes them."""
-PLANE_LABEL = "image width and height, matrix (3x3), spread (8x3x3)"
+PLANE_LABEL = (
+    "image width and height, matrix (3x3), lens (fx fy cx cy k1 k2 p1 p2 k3, 1 for a known focal "
+    "length; zeros for none), K times: spread (3x3) and its k1"
+)
 """What the numbers of a road plane are, in their order (`calibration.plane.RoadPlane`)."""
-PLANE_NUMBERS = 2 + 9 + 72
+_PLANE_HEAD, _PLANE_ROW = 2 + 9 + 10, 10
+"""Numbers before the spread, and in each row of it."""
 
 
 def message_class(message_type: str) -> type | None:
@@ -187,8 +192,13 @@ def encode_png(stamp_ns: int, frame_id: str, image: NDArray[np.uint8]) -> bytes:
 
 
 def plane_message(plane: RoadPlane, image_size: tuple[int, int]) -> Float64MultiArray:
-    """A camera's road plane as numbers: width and height in pixels, matrix, spread."""
-    numbers = np.concatenate([np.array(image_size), plane.matrix.ravel(), plane.spread.ravel()])
+    """A camera's road plane as numbers; see `PLANE_LABEL`."""
+    lens = np.zeros(10)
+    if plane.lens is not None:
+        lens = np.array([*plane.lens.numbers, float(plane.lens.focal_known)])
+    by_k1 = np.zeros(len(plane.spread)) if plane.k1_spread is None else plane.k1_spread
+    spread = np.column_stack((plane.spread.reshape(-1, 9), by_k1))
+    numbers = np.concatenate([np.array(image_size), plane.matrix.ravel(), lens, spread.ravel()])
     dimension = MultiArrayDimension(label=PLANE_LABEL, size=len(numbers), stride=len(numbers))
     layout = MultiArrayLayout(dim=[dimension], data_offset=0)
     return Float64MultiArray(layout=layout, data=numbers.tolist())
@@ -201,14 +211,28 @@ def plane_of(message: Float64MultiArray, place: str) -> tuple[RoadPlane, tuple[i
         MessageError: Numbers that are none.
     """
     numbers = np.array(message.data, dtype=np.float64)
-    if len(numbers) != PLANE_NUMBERS or not np.isfinite(numbers).all():
+    rows, odd = divmod(len(numbers) - _PLANE_HEAD, _PLANE_ROW)
+    if rows < 0 or odd or not np.isfinite(numbers).all():
         found = f"{len(numbers)} numbers" + (", some not finite" if len(numbers) else "")
-        raise MessageError(place, found, f"{PLANE_NUMBERS} numbers: {PLANE_LABEL}")
+        raise MessageError(place, found, f"{_PLANE_HEAD} + K x {_PLANE_ROW} numbers: {PLANE_LABEL}")
     width, height = (int(value) for value in numbers[:2])
     if not (16 <= width <= 32768 and 16 <= height <= 32768):
         raise MessageError(place, f"an image of {width}x{height}", "16 to 32768 pixels a side")
-    plane = RoadPlane(numbers[2:11].reshape(3, 3), numbers[11:].reshape(8, 3, 3))
-    return plane, (width, height)
+    size, spread = (width, height), numbers[_PLANE_HEAD:].reshape(rows, _PLANE_ROW)
+    lens, by_k1 = None, spread[:, 9]
+    if numbers[11]:
+        fx, fy, cx, cy, k1, k2, p1, p2, k3, known = numbers[11:_PLANE_HEAD].tolist()
+        try:
+            lens = Lens(fx, fy, cx, cy, size, k1, k2, p1, p2, k3, known > 0.0)
+        except CalibrationError as error:
+            raise MessageError(f"{place}, {error.place}", error.found, error.expected) from None
+    plane = RoadPlane(
+        numbers[2:11].reshape(3, 3),
+        spread[:, :9].reshape(rows, 3, 3),
+        lens=lens,
+        k1_spread=by_k1 if by_k1.any() else None,
+    )
+    return plane, size
 
 
 def encode_pose_array(

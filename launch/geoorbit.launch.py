@@ -51,6 +51,9 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument("rate", default_value="1.0", description="Speed of the bag."),
         DeclareLaunchArgument("database", default_value="", description="Record into this file."),
         DeclareLaunchArgument(
+            "traffic", default_value="true", description="Count vehicles per lane; false: don't."
+        ),
+        DeclareLaunchArgument(
             "timezone", default_value="UTC", description="Of traffic intervals, Europe/Berlin."
         ),
         DeclareLaunchArgument(
@@ -202,6 +205,7 @@ def one_camera_nodes() -> list[Node]:
                 sim_time,
                 {"database": database, "timezone": timezone, "calibration_file": calibration},
             ],
+            condition=IfCondition(LaunchConfiguration("traffic")),
         ),
         Node(
             package=PACKAGE,

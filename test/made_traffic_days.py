@@ -78,3 +78,30 @@ def offline(
     """What the offline way gives."""
     recorded = record(TrafficCounter(lanes), [frames], GAP_S)
     return recorded, np.concatenate(list(all_measures(recorded, SCHEME, clock)))
+
+
+STOPPED_LANE = lane(7, 7.0)
+
+
+def with_events(frames: Frames, period_s: int = 300) -> Frames:
+    """The same with a vehicle that stands for 140 s and one in the wrong direction in each period.
+
+    The first stands in `STOPPED_LANE`, where nobody else drives, the second drives in lane 5.
+    """
+    time_s = (frames.stamp_ns - frames.stamp_ns[0]) / NS
+    tables, owners = [frames.rows], [np.repeat(np.arange(len(frames)), np.diff(frames.offset))]
+    for k in range(int(time_s[-1]) // period_s):
+        since = time_s - (period_s * k + 70.0)
+        stands = np.minimum(15.0 * since, 60.0) + np.maximum(15.0 * (since - 140.0), 0.0)
+        for first_id, x, y in ((900_000, stands, 7.0), (950_000, 118.0 - 20.0 * since, 3.5)):
+            there = np.flatnonzero((since >= 0.0) & (x >= 0.0) & (x <= 120.0))
+            rows = np.zeros(len(there), frames.rows.dtype)
+            rows["x"], rows["y"], rows["track_id"] = x[there], y, first_id + k
+            rows["sigma"], rows["class_id"], rows["length"], rows["score"] = 0.05, 2, 4.5, 0.9
+            tables.append(rows)
+            owners.append(there)
+    owner = np.concatenate(owners)
+    order = np.argsort(owner, kind="stable")
+    counts = np.bincount(owner, minlength=len(frames))
+    offset = np.append(0, np.cumsum(counts)).astype(np.int64)
+    return Frames(frames.stamp_ns, offset, np.concatenate(tables)[order])

@@ -105,16 +105,18 @@ class BoxProjector:
         self._size_px = np.array(image_size, dtype=np.float64)[:, None]
         self._border = border_ratio * self._size_px
         self._horizon = homography.matrix[2]
+        lens = homography.lens
+        self._lens = None if lens is None or lens.straight else lens
         self.calibration_report = calibration_report(homography, image_size)
         self.doubted = False
         try:
             self.pose = recover_pose(homography, image_size)
             projection, camera_m = self.pose.projection, self.pose.position_m
-            self._filter = GroundFilter(projection, camera_m, max_sigma_m)
+            self._filter = GroundFilter(projection, camera_m, max_sigma_m, self._lens)
         except CalibrationError as error:
             self.pose_error = error
             projection = np.insert(homography.inverse, 2, 0.0, axis=1)
-            self._filter = GroundFilter(projection, None, max_sigma_m)
+            self._filter = GroundFilter(projection, None, max_sigma_m, self._lens)
         self.traffic = TrafficCheck(homography, image_size, self.pose, self.pose_error)
         self.reset()
 
@@ -201,7 +203,8 @@ class BoxProjector:
         truncated = cut.any(axis=0) & ((rows["flags"] & FLAG_GROUND_POINT) == 0)
         truncated |= (rows["flags"] & FLAG_TRUNCATED) != 0
         inside = finite & ~truncated if self._reject_truncated else finite
-        x, y = centre if self.pose is not None else _foot(centre, box[2:])
+        point = centre if self.pose is not None else _foot(centre, box[2:])
+        x, y = point if self._lens is None else self._lens.undistort_columns(point)
         kept = inside & (self._horizon[0] * x + self._horizon[1] * y + self._horizon[2] > 0)
         self.counts.rows += len(rows)
         self.counts.not_finite += int((~finite).sum())

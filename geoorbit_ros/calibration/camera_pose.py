@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geoorbit_ros.calibration.lens import Lens
 from geoorbit_ros.calibration.plane import Homography
 from geoorbit_ros.core.errors import CalibrationError
 
@@ -27,16 +28,18 @@ with the errors of a survey stay below 0.06."""
 
 @dataclass(frozen=True, slots=True)
 class CameraPose:
-    """A pinhole camera above the road.
+    """A camera above the road.
 
     Attributes:
         projection: (3, 4) float64, homogeneous local metres (x, y, z above the road, 1) to
-            homogeneous pixels, the third component positive in front of the camera. Its columns
-            1, 2 and 4 are the inverse homography, so that road points agree exactly.
+            homogeneous ideal pixels, the third component positive in front of the camera. Its
+            columns 1, 2 and 4 are the inverse homography, so that road points agree exactly.
         position_m: (3,) optical centre, metres east, north and above the road.
         rotation: (3, 3) map frame to optical frame (REP-103: x right, y down, z forward).
         focal_px: Focal length in pixels.
-        focal_sigma_px: 1-sigma error of `focal_px` that the control points leave.
+        focal_sigma_px: 1-sigma error of `focal_px` that the control points leave; 0 where the
+            focal length is given.
+        lens: From ideal pixels to those of the images; None: the same.
     """
 
     projection: Matrix
@@ -44,13 +47,15 @@ class CameraPose:
     rotation: Matrix
     focal_px: float
     focal_sigma_px: float
+    lens: Lens | None = None
 
     def project(self, points_m: ArrayLike) -> Matrix:
         """Pixels (N, 2) of points (N, 3) in local metres; NaN behind the camera."""
         xyz = np.asarray(points_m, dtype=np.float64).reshape(-1, 3)
         uvw = xyz @ self.projection[:, :3].T + self.projection[:, 3]
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where(uvw[:, 2:] > 0, uvw[:, :2] / uvw[:, 2:], np.nan)
+            pixel = np.where(uvw[:, 2:] > 0, uvw[:, :2] / uvw[:, 2:], np.nan)
+            return pixel if self.lens is None else self.lens.distort(pixel)
 
 
 def recover_pose(
@@ -58,9 +63,11 @@ def recover_pose(
 ) -> CameraPose:
     """Recover focal length and pose, assuming square pixels and a centred principal point.
 
-    The images of the road's two axes are perpendicular and of equal length in space, which gives
-    two linear equations for 1/f^2 (Zhang (2000), A Flexible New Technique for Camera Calibration,
-    equations 3 and 4). Their least-squares solution does not depend on where east is.
+    Where the plane's lens says its principal point, and its focal length, these are taken instead,
+    unless the road doesn't fit them at all (`plausibility` says so).
+    Otherwise, the images of the road's two axes are perpendicular and of equal length in space,
+    which gives two linear equations for 1/f^2 (Zhang (2000), A Flexible New Technique for Camera
+    Calibration, equations 3 and 4). Their least-squares solution does not depend on where east is.
 
     Args:
         homography: The road plane.
@@ -72,7 +79,13 @@ def recover_pose(
             implausible one, or a camera at an implausible height. The sentence says which.
     """
     place = f"camera pose from {homography.points.place}"
-    focal = _focal_length(homography.matrix, image_size)
+    lens = homography.lens
+    if lens is not None and lens.focal_known:
+        pose, skew = _pose(homography, _camera_matrix(homography, image_size, lens.fx), 0.0)
+        if skew <= max_skew:
+            return _checked(pose, skew, max_skew, image_size, place)
+    axis = _camera_matrix(homography, image_size, 1.0)
+    focal = _focal_length(homography.matrix, axis)
     if not np.isfinite(focal):
         raise CalibrationError(
             place,
@@ -80,7 +93,7 @@ def recover_pose(
             f"a pinhole camera with the centre of a {image_size[0]}x{image_size[1]} image "
             "on its axis, looking at the road at a slant",
         )
-    changed = [_focal_length(homography.matrix + d, image_size) for d in homography.spread]
+    changed = [_focal_length(homography.matrix + d, axis) for d in homography.spread]
     sigma = float(np.sqrt(np.square(np.subtract(changed, focal)).sum()))
     if not sigma <= MAX_RELATIVE_SIGMA * focal:
         raise CalibrationError(
@@ -93,7 +106,14 @@ def recover_pose(
         raise CalibrationError(
             place, f"a focal length of {focal:.0f} px", f"{low:.0f} to {high:.0f} px"
         )
-    pose, skew = _pose(homography, image_size, focal, sigma)
+    pose, skew = _pose(homography, _camera_matrix(homography, image_size, focal), sigma)
+    return _checked(pose, skew, max_skew, image_size, place)
+
+
+def _checked(
+    pose: CameraPose, skew: float, max_skew: float, image_size: tuple[int, int], place: str
+) -> CameraPose:
+    """The pose, where it can be one."""
     if skew > max_skew:
         raise CalibrationError(
             place,
@@ -110,19 +130,26 @@ def recover_pose(
     return pose
 
 
-def _centred(matrix: Matrix, image_size: tuple[int, int]) -> Matrix:
-    """Road to pixels from the image centre, (3, 3).
+def _camera_matrix(homography: Homography, image_size: tuple[int, int], focal: float) -> Matrix:
+    """From rays to ideal pixels, (3, 3): the lens' own, else with the image's centre on the axis.
 
     Pixel centres have whole coordinates or halves, depending on who clicked: half a pixel is far
     below what a principal point is off.
     """
-    shift = np.array([[1, 0, -image_size[0] / 2], [0, 1, -image_size[1] / 2], [0, 0, 1]])
-    return np.asarray(shift @ np.linalg.inv(matrix))
+    lens = homography.lens
+    if lens is None:
+        return np.array([[focal, 0, image_size[0] / 2], [0, focal, image_size[1] / 2], [0, 0, 1]])
+    return np.array([[focal, 0, lens.cx], [0, focal * lens.fy / lens.fx, lens.cy], [0, 0, 1]])
 
 
-def _focal_length(matrix: Matrix, image_size: tuple[int, int]) -> float:
-    """Focal length in pixels, NaN where 1/f^2 comes out at zero or below."""
-    a, b = _centred(matrix, image_size).T[:2]
+def _focal_length(matrix: Matrix, axis: Matrix) -> float:
+    """Focal length in pixels, NaN where 1/f^2 comes out at zero or below.
+
+    Args:
+        matrix: (3, 3) ideal pixels to road.
+        axis: (3, 3) camera matrix with a focal length of one.
+    """
+    a, b = (np.linalg.inv(axis) @ np.linalg.inv(matrix)).T[:2]
     # The image of a slanted plane scales the focal length out of these two products:
     # a.b = 0 and (a.a - b.b) / 2 = 0 with the metric diag(1/f^2, 1/f^2, 1).
     plane = np.array([a[0] * b[0] + a[1] * b[1], (a[:2] @ a[:2] - b[:2] @ b[:2]) / 2])
@@ -132,13 +159,9 @@ def _focal_length(matrix: Matrix, image_size: tuple[int, int]) -> float:
         return float(np.sqrt(-(plane @ depth) / (depth @ depth)))
 
 
-def _pose(
-    homography: Homography, image_size: tuple[int, int], focal: float, sigma: float
-) -> tuple[CameraPose, float]:
+def _pose(homography: Homography, camera: Matrix, sigma: float) -> tuple[CameraPose, float]:
     """The pose, and how far the road's axes are from perpendicular and equally long in it."""
-    centre = np.array([image_size[0] / 2, image_size[1] / 2])
-    to_axes = np.diag([1 / focal, 1 / focal, 1.0])
-    columns = to_axes @ _centred(homography.matrix, image_size)
+    columns = np.linalg.inv(camera) @ np.linalg.inv(homography.matrix)
     # The inverse homography has positive depth at the control points, hence in front.
     scale = (np.linalg.norm(columns[:, 0]) + np.linalg.norm(columns[:, 1])) / 2
     r1, r2 = columns[:, 0] / scale, columns[:, 1] / scale
@@ -146,8 +169,8 @@ def _pose(
     u, _, vt = np.linalg.svd(np.column_stack((r1, r2, np.cross(r1, r2))))
     rotation = u @ vt
     position = -rotation.T @ (columns[:, 2] / scale)
-    up = np.array([focal, focal, 1.0]) * rotation[:, 2] * scale
-    up[:2] += centre * up[2]
+    up = camera @ rotation[:, 2] * scale
     g = homography.inverse
     projection = np.column_stack((g[:, 0], g[:, 1], up, g[:, 2]))
-    return CameraPose(projection, position, rotation, focal, sigma), skew
+    lens = homography.lens
+    return CameraPose(projection, position, rotation, float(camera[0, 0]), sigma, lens), skew

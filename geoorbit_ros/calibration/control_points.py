@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.calibration.camera_facts import NO_FACTS, CameraFacts
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.core.errors import CalibrationError, InputFileError
 from geoorbit_ros.core.input_report import InputReport, Treatment
@@ -14,6 +15,7 @@ from geoorbit_ros.core.input_report import InputReport, Treatment
 PIXEL_COLUMNS = ("pixel_x", "pixel_y")
 GEODETIC_COLUMNS = ("latitude", "longitude")
 LOCAL_COLUMNS = ("x_m", "y_m")
+SIGMA_COLUMNS = ("sigma_px", "sigma_m")
 
 MIN_POINTS = 4
 """A homography has eight degrees of freedom, a point fixes two."""
@@ -39,6 +41,10 @@ class ControlPoints:
         line_number: (N,) int64, line of each point in its file, for messages.
         place: The file's name, for messages.
         report: What was done with the rows of the file.
+        facts: What is said about the camera: its lens, a common error of the scale.
+        image_size: (width, height) of the image that `pixel` is of; None: nobody says.
+        sigma_px: (N,) 1-sigma of each pixel coordinate, NaN where it isn't known; None: nowhere.
+        sigma_m: (N,) 1-sigma of each ground coordinate in metres, likewise.
     """
 
     pixel: NDArray[np.float64]
@@ -47,6 +53,10 @@ class ControlPoints:
     line_number: NDArray[np.int64]
     place: str = "control points"
     report: InputReport = field(default_factory=_no_report, compare=False)
+    facts: CameraFacts = NO_FACTS
+    image_size: tuple[int, int] | None = None
+    sigma_px: NDArray[np.float64] | None = None
+    sigma_m: NDArray[np.float64] | None = None
 
     def __len__(self) -> int:
         return len(self.pixel)

@@ -53,6 +53,11 @@ def inverse_2x2(matrix: Array) -> Array:
     return np.asarray(inverse / (a * d - b * c))
 
 
+def through(slope: Array, inner: Array) -> Array:
+    """Products (2, k, M) of slopes (2, 2, M) with inner ones (2, k, M): the chain rule."""
+    return np.asarray(slope[:, :1] * inner[0] + slope[:, 1:] * inner[1])
+
+
 def worst_sigma(covariance: Array) -> Array:
     """Square root (M,) of the larger eigenvalue of covariances (2, 2, M)."""
     a, b, c = covariance[0, 0], covariance[0, 1], covariance[1, 1]

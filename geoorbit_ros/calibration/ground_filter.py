@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.elementwise import worst_sigma
+from geoorbit_ros.calibration.lens import Lens
 from geoorbit_ros.calibration.track_velocity import HEADING, follow
 from geoorbit_ros.calibration.track_velocity import ROWS as MOTION_ROWS
 from geoorbit_ros.calibration.track_waves import Waves
@@ -112,14 +113,21 @@ class GroundFilter:
     """Takes rows wave by wave.
 
     Args:
-        projection: (3, 4) local metres to pixels.
+        projection: (3, 4) local metres to ideal pixels.
         camera_m: (3,) the camera's place; None where it isn't known, and no row is `solid`.
         max_sigma_m: Rows of more frame-to-frame noise say nothing about motion.
+        lens: From ideal pixels to those of the boxes; None: the same.
     """
 
-    def __init__(self, projection: Array, camera_m: Array | None, max_sigma_m: float) -> None:
+    def __init__(
+        self,
+        projection: Array,
+        camera_m: Array | None,
+        max_sigma_m: float,
+        lens: Lens | None = None,
+    ) -> None:
         self._projection, self._camera_m = projection, camera_m
-        self._max_sigma_m = max_sigma_m
+        self._max_sigma_m, self._lens = max_sigma_m, lens
 
     def run(self, waves: Waves, boxes: Boxes) -> GroundRows:
         """Ground of the rows; the states in `waves` go on to the tracks' last rows."""
@@ -128,7 +136,7 @@ class GroundFilter:
         points = (~boxes.solid).nonzero()[0]
         if len(points):  # nothing is to be known of their tracks
             centre, side = boxes.centre[:, points], boxes.side[:, points]
-            ground.put(points, fit_points(self._projection, centre, side))
+            ground.put(points, fit_points(self._projection, centre, side, self._lens))
         for start, stop in pairwise(waves.bounds):
             state, at = waves.state[:, : stop - start], slice(start, stop)
             self._wave(state, at, waves.fresh[at], boxes, ground)
@@ -149,7 +157,8 @@ class GroundFilter:
             known = motion[HEADING, track], sizes[DIM, track]
             size_cov = sizes[COV].reshape(3, 3, -1)[:, :, track]
             centre, side = boxes.centre[:, row], boxes.side[:, row]
-            ground.put(row, fit_vehicles(self._projection, centre, side, *known, size_cov))
+            fit = fit_vehicles(self._projection, centre, side, *known, size_cov, self._lens)
+            ground.put(row, fit)
         learnt = boxes.sampled[at].nonzero()[0]
         if len(learnt):
             row = at.start + learnt

@@ -12,7 +12,7 @@ from bisect import bisect_left
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.calibration.camera_pose import CameraPose
+from geoorbit_ros.calibration.camera_pose import CameraPose, recover_pose
 from geoorbit_ros.calibration.plane import Homography
 from geoorbit_ros.calibration.traffic_findings import (
     COLUMNS,
@@ -72,7 +72,11 @@ def calibration_report(
         more = f" and {len(dropped) - NAMED_POINTS} more" if len(dropped) > NAMED_POINTS else ""
         text = f"they disagree with the others ({'; '.join(shown)}{more})"
         report.add(Treatment.LEFT_OUT, len(dropped), text)
-    if image_size is None:
+    report.remarks += homography.remarks
+    known_size = image_size or points.image_size
+    if known_size is not None:
+        report.remarks += _focal_doubts(homography, known_size)
+    if image_size is None or points.facts.image_size is not None:
         return report
     size = np.array(image_size, dtype=np.float64)
     beyond = np.maximum(-points.pixel, points.pixel - size) / size
@@ -94,6 +98,25 @@ def calibration_report(
             example = f"line {points.line_number[k]}: pixel ({u:.0f}, {v:.0f})"
             report.add(Treatment.NOTED, int(outside.sum()), text, example)
     return report
+
+
+def _focal_doubts(homography: Homography, image_size: tuple[int, int]) -> list[Remark]:
+    """What is to be said where the road doesn't fit the focal length that is given."""
+    lens = homography.lens
+    if lens is None or not lens.focal_known:
+        return []
+    try:
+        pose = recover_pose(homography, image_size)
+    except CalibrationError:
+        return []
+    if pose.focal_px == lens.fx:
+        return []
+    text = (
+        f"the given focal length of {lens.fx:.0f} px does not fit the control points, which show "
+        f"{pose.focal_px:.0f} ± {pose.focal_sigma_px:.0f} px: "
+        "is the lens this camera's, at this zoom?"
+    )
+    return [Remark(Treatment.DOUBTFUL, 0, text)]
 
 
 class TrafficCheck:

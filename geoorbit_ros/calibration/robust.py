@@ -79,17 +79,24 @@ def _basis(points: Matrix) -> tuple[Matrix, NDArray[np.bool_]]:
     return np.swapaxes(p[:, :3] * weight[:, :, None], 1, 2), np.abs(triple).min(axis=1) > 1e-3
 
 
-def whitened_square(
-    matrix: Matrix, source: Matrix, target: Matrix, sigma_source: float, sigma_target: float
+def error_covariance(
+    matrix: Matrix, source: Matrix, variance_source: Matrix, cov_target: Matrix
 ) -> Matrix:
-    """Squared transfer error (..., N) in units of its own 1-sigma.
+    """Covariance (..., N, 2, 2) of the transfer error of points (N, 2).
 
-    Both positions of a point are uncertain, so the error in the target has the covariance
-    `sigma_target**2 I + sigma_source**2 J J^T`.
+    Both positions of a point are uncertain: the error in the target has its own covariance, and
+    the source's isotropic variance through the homography, `variance J J^T`.
     """
-    error = target - transfer(matrix, source)
     j = jacobian(matrix, source)
-    cov = sigma_source**2 * j @ np.swapaxes(j, -1, -2) + sigma_target**2 * np.eye(2)
+    return np.asarray(variance_source[:, None, None] * j @ np.swapaxes(j, -1, -2) + cov_target)
+
+
+def whitened_square(
+    matrix: Matrix, source: Matrix, target: Matrix, variance_source: Matrix, cov_target: Matrix
+) -> Matrix:
+    """Squared transfer error (..., N) in units of its own 1-sigma; see `error_covariance`."""
+    error = target - transfer(matrix, source)
+    cov = error_covariance(matrix, source, variance_source, cov_target)
     det = cov[..., 0, 0] * cov[..., 1, 1] - cov[..., 0, 1] ** 2
     x, y = error[..., 0], error[..., 1]
     return np.asarray(
@@ -98,7 +105,7 @@ def whitened_square(
 
 
 def best_subset(
-    source: Matrix, target: Matrix, sigma_source: float, sigma_target: float
+    source: Matrix, target: Matrix, variance_source: Matrix, cov_target: Matrix
 ) -> NDArray[np.intp]:
     """Indices of the points that agree best on one homography.
 
@@ -110,8 +117,8 @@ def best_subset(
     Args:
         source: (N, 2), normalised.
         target: (N, 2), normalised.
-        sigma_source: 1-sigma of `source`, in its units.
-        sigma_target: 1-sigma of `target`, in its units.
+        variance_source: (N,) variance of each coordinate of `source`, in its units.
+        cov_target: (N, 2, 2) covariance of `target`, in its units.
 
     Returns:
         (h,) indices; empty when every sample is degenerate.
@@ -128,11 +135,11 @@ def best_subset(
         return np.empty(0, dtype=np.intp)
     every = dlt(source, target)
     depth = source @ every[2, :2] + every[2, 2]
-    error = whitened_square(every, source, target, sigma_source, sigma_target)
+    error = whitened_square(every, source, target, variance_source, cov_target)
     if (np.all(depth > 0) or np.all(depth < 0)) and error.max() <= ALL_AGREE_SQUARE:
         return np.arange(n)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        square = whitened_square(candidates, source, target, sigma_source, sigma_target)
+        square = whitened_square(candidates, source, target, variance_source, cov_target)
     # Near its horizon a plane excuses any error: all points that count lie on one side of it.
     side = np.sign(source @ candidates[:, 2, :2, None] + candidates[:, 2:, 2:])[..., 0]
     square[side != np.where(side.sum(axis=1) < 0, -1.0, 1.0)[:, None]] = np.inf

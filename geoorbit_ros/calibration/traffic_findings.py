@@ -369,7 +369,7 @@ def other_size_finding(
     the given size cars have other sizes, or some points lie outside of the image.
     """
     track_id, box = _whole_cars(traffic, image_size)
-    if not len(box):
+    if not len(box) or homography.lens is not None:  # a lens belongs to one size
         return
     misfit = {}
     scaled = [(round(k * image_size[0]), round(k * image_size[1])) for k in SCALES]
@@ -457,6 +457,7 @@ def _car_size(
             heading,
             size_m,
             size_cov,
+            homography.lens,
         )
         ratio = np.log(box[:, 2:] / fit.side_px.T)
     good = fit.good & np.isfinite(ratio).all(axis=1)

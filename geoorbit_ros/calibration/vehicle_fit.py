@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.calibration.elementwise import inverse_2x2, solve, total
+from geoorbit_ros.calibration.elementwise import inverse_2x2, solve, through, total
+from geoorbit_ros.calibration.lens import Lens
 
 Array = NDArray[np.float64]
 
@@ -82,7 +83,7 @@ def edges(uv: Array) -> Array:
 
 
 def edge_slopes(
-    projection: Array, uv: Array, depth: Array, unit_axes: Array
+    projection: Array, uv: Array, depth: Array, unit_axes: Array, lens: Lens | None = None
 ) -> tuple[Array, Array, Array]:
     """How the edges of a vehicle's box move with its position and size.
 
@@ -90,14 +91,17 @@ def edge_slopes(
 
     Args:
         projection: (3, 4).
-        uv: (2, 8, M) corners in pixels.
+        uv: (2, 8, M) corners in ideal pixels.
         depth: (8, M) of the corners.
         unit_axes: (3, 3, M) from `vehicle_axes`.
+        lens: Through which the box is seen; None: a pinhole.
 
     Returns:
         Edges (4, M), left, top, right, bottom; their slopes with x and y (4, 2, M); their slopes
         with length, width and height (4, 3, M). Pixels, pixels per metre.
     """
+    if lens is not None:
+        return _edge_slopes_behind(lens, projection, uv, depth, unit_axes)
     edge, number = edges(uv), uv.shape[2]
     touching = np.concatenate((uv.argmin(axis=1), uv.argmax(axis=1)))
     scale = (1.0 / depth.reshape(-1).take(touching * number + np.arange(number)))[:, None]
@@ -105,6 +109,28 @@ def edge_slopes(
     with_size = unit_axes[:, COORDINATE] - edge * unit_axes[:, 2:]
     with_size *= CORNER.take(touching, axis=1)
     return edge, with_position * scale, with_size.transpose(1, 0, 2) * scale
+
+
+def _edge_slopes_behind(
+    lens: Lens, projection: Array, uv: Array, depth: Array, unit_axes: Array
+) -> tuple[Array, Array, Array]:
+    """`edge_slopes` where the corners are seen through a lens: its slopes chain with theirs."""
+    real, bend = lens.distort_columns(uv)
+    edge, number = edges(real), uv.shape[2]
+    touching = np.concatenate((real.argmin(axis=1), real.argmax(axis=1)))
+    at = touching * number + np.arange(number)
+    ideal = uv.reshape(2, -1).take(at, axis=1)
+    scale = 1.0 / depth.reshape(-1).take(at)
+    bend = bend.reshape(2, 2, -1).take(at, axis=2)
+    with_position, with_size = np.empty((4, 2, number)), np.empty((4, 3, number))
+    for k, coordinate in enumerate(COORDINATE):
+        seen = ideal[:, k, None]
+        by_place = projection[:2, :2, None] - seen * projection[2, :2, None]
+        by_size = unit_axes[:, :2].transpose(1, 0, 2) - seen * unit_axes[:, 2]
+        with_position[k] = through(bend[:, :, k], by_place)[coordinate] * scale[k]
+        sized = through(bend[:, :, k], by_size)[coordinate]
+        with_size[k] = sized * CORNER.take(touching[k], axis=1) * scale[k]
+    return edge, with_position, with_size
 
 
 EDGE_SIGMA_PX = 1.1
@@ -158,6 +184,7 @@ def fit_vehicles(
     heading: Array,
     size_m: Array,
     size_cov: Array,
+    lens: Lens | None = None,
 ) -> VehicleFit:
     """Maximum a posteriori ground points, given what is known of each vehicle's size.
 
@@ -170,6 +197,8 @@ def fit_vehicles(
 
     A vehicle of unknown heading is taken for an upright stick, of which only the middle counts.
 
+    Behind a lens, the box round the corners is as the lens shows them: pixels are real ones.
+
     Args:
         projection: (3, 4) local metres to pixels.
         centre: (2, M) of the boxes, pixels.
@@ -177,26 +206,31 @@ def fit_vehicles(
         heading: (M,) radians from east, NaN where unknown.
         size_m: (3, M) length, width, height.
         size_cov: (3, 3, M) covariance of `size_m`.
+        lens: Through which the boxes are seen; None: a pinhole.
     """
     shaped = ~np.isnan(heading)
     unit = vehicle_axes(projection, np.where(shaped, heading, 0.0))
     if not shaped.all():
         unit[:2, :, ~shaped] = 0.0
     axes = unit * size_m[:, None]
-    first, ahead = on_plane(projection, centre, size_m[2] / 2)
+    ray = centre if lens is None else lens.undistort_columns(centre)
+    first, ahead = on_plane(projection, ray, size_m[2] / 2)
     uv, depth = corners(projection, first, axes)
-    edge, with_position, with_size = edge_slopes(projection, uv, depth, unit)
+    edge, with_position, with_size = edge_slopes(projection, uv, depth, unit, lens)
 
     gain, covariance, noise = _solution(side, with_position, with_size, size_cov, shaped)
     half, xy = side / 2, first
     measured = np.concatenate((centre - half, centre + half))
     for step in range(STEPS):
         if step > 0:
-            edge = edges(corners(projection, xy, axes)[0])
+            uv = corners(projection, xy, axes)[0]
+            edge = edges(uv if lens is None else lens.distort_columns(uv)[0])
         xy = xy + total(gain * (measured - edge)[:, None])
     reached = _inverse_depth(projection, xy)
     good = (ahead > 0) & (depth.min(axis=0) > 0) & (reached > 0)
     good &= np.isfinite(reached + covariance[0, 0] + covariance[1, 1])
+    if lens is not None:
+        good &= np.isfinite(xy[0] + xy[1])
     side_px, side_slope = edge[2:] - edge[:2], with_size[2:] - with_size[:2]
     found = VehicleFit(xy, first, noise, covariance, side_px, side_slope, good)
     if not good.all():
@@ -204,17 +238,23 @@ def fit_vehicles(
     return found
 
 
-def fit_points(projection: Array, pixel: Array, side: Array) -> VehicleFit:
+def fit_points(
+    projection: Array, pixel: Array, side: Array, lens: Lens | None = None
+) -> VehicleFit:
     """Ground points of pixels that already show the road, as exact as the middle of a box.
 
     Args:
         projection: (3, 4) local metres to pixels.
         pixel: (2, M).
         side: (2, M) width and height of what was seen there, pixels; zero where it isn't known.
+        lens: Through which they are seen; None: a pinhole.
     """
     number = pixel.shape[1]
-    xy, depth = on_plane(projection, pixel, np.zeros(number))
-    slope = (projection[:2, :2, None] - pixel[:, None] * projection[2, :2, None]) / depth
+    ideal = pixel if lens is None else lens.undistort_columns(pixel)
+    xy, depth = on_plane(projection, ideal, np.zeros(number))
+    slope = (projection[:2, :2, None] - ideal[:, None] * projection[2, :2, None]) / depth
+    if lens is not None:
+        slope = through(lens.distort_columns(ideal)[1], slope)
     by_pixel = inverse_2x2(slope).transpose(1, 0, 2)
     variance = (EDGE_SIGMA_PX**2 + EDGE_SIGMA_RATIO**2 * side**2) / 2
     noise = total((by_pixel * variance[:, None])[:, :, None] * by_pixel[:, None])

@@ -9,6 +9,7 @@ import typer
 
 from geoorbit_ros.cli.inputs import (
     CalibrationOption,
+    CameraInfoOption,
     DatumOption,
     ModelOption,
     PasswordFileOption,
@@ -43,6 +44,7 @@ def add(
         float, typer.Option("--duration", min=1.0, metavar="SECONDS", help="How long to watch.")
     ] = 60.0,
     datum: DatumOption = None,
+    camera_info: CameraInfoOption = None,
     password_file: PasswordFileOption = None,
     replace: Annotated[
         bool, typer.Option("--replace", help="Put it in the place of the camera with this id.")
@@ -69,18 +71,17 @@ def add(
 
     check_new_folder(out, overwrite=replace)
     check_new_camera(fleet, camera_id, replace=replace)
-    plane = load_calibration(calibration, datum or _known_datum(fleet, camera_id), strict=strict)
+    named = (calibration, datum or _known_datum(fleet, camera_id))
+    plane = load_calibration(*named, strict=strict, camera_info=camera_info)
     watched = ImageOptions(None, duration, "", LeftOut(), password_file)
-    with (
-        prepared_run(source, out, watched, model, DetectorSettings(), resume=None) as (images, run),
-        atomic_output(out, overwrite=replace) as folder,
-    ):
+    prepared = prepared_run(source, out, watched, model, DetectorSettings(), resume=None)
+    with prepared as (images, run), atomic_output(out, overwrite=replace) as folder:
         job = CameraJob(camera_id, calibration, *plane, run)
         folder.mkdir()
         _show_calibration(plane[0], first_image(images), folder / CALIBRATION_IMAGE)
         job.find_lanes(images, duration)
         job.write(folder, images)
-        entry = _entry(job, source, password_file, model, fleet)
+        entry = _entry(job, source, password_file, model, fleet, camera_info)
         add_camera(fleet, entry, replace=replace)
     print_remarks(images.remarks)
     print_lanes(job.lane_map, f"Lanes of {camera_id}")
@@ -115,7 +116,12 @@ def _known_datum(fleet: Path, camera_id: str) -> str | None:
 
 
 def _entry(
-    job: CameraJob, source: str, password_file: Path | None, model: Path | None, fleet: Path
+    job: CameraJob,
+    source: str,
+    password_file: Path | None,
+    model: Path | None,
+    fleet: Path,
+    camera_info: Path | None,
 ) -> dict[str, object]:
     """The camera as the fleet file names it."""
     from geoorbit_ros.core.addresses import masked
@@ -131,8 +137,9 @@ def _entry(
             "longitude_deg": job.datum.longitude_deg,
         },
     }
-    if model is not None:
-        entry["model"] = relative(model, fleet)
+    for key, file in (("model", model), ("camera_info", camera_info)):
+        if file is not None:
+            entry[key] = relative(file, fleet)
     return entry | _password(source, password_file, job, fleet)
 
 
@@ -153,10 +160,12 @@ def _password(
 
 def _show_calibration(homography: Homography, image: NDArray[np.uint8], out: Path) -> None:
     """Draw the control points into an image file, and print their errors."""
+    from geoorbit_ros.calibration.homography import plane_of_images
     from geoorbit_ros.cli.console import console, make_table, say
     from geoorbit_ros.report.calibration_image import REACH_M, draw_calibration, reach
     from geoorbit_ros.report.image_overlay import write_image
 
+    homography = plane_of_images(homography, (image.shape[1], image.shape[0]))
     write_image(out, draw_calibration(image, homography))
     table = make_table("Control points", ">point|>pixel x|>pixel y|>error px|>error m|used")
     residual = homography.residual

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.box_projector import BoxProjector
 from geoorbit_ros.calibration.datum import Datum
-from geoorbit_ros.calibration.homography import Homography
+from geoorbit_ros.calibration.homography import Homography, plane_of_images
 from geoorbit_ros.cli.images import (
     DEFAULT_FPS,
     check_images,
     shown_images,
 )
-from geoorbit_ros.cli.inputs import DEFAULT_ESTIMATOR, CameraInput, find_lanes
+from geoorbit_ros.cli.inputs import DEFAULT_ESTIMATOR, ROAD_IMAGE, CameraInput, find_lanes
 from geoorbit_ros.cli.report import describe_method, save_report
 from geoorbit_ros.cli.resume import DetectionRun
 from geoorbit_ros.core.errors import NoTrafficError
@@ -56,8 +56,6 @@ from geoorbit_ros.view.projection import ViewProjector
 from geoorbit_ros.view.record import ViewRecord
 
 TRACKS_CSV, LANES, REPORT = "tracks.csv", "lanes.geojson", "report.html"
-ROAD = "road.png"
-"""The road without vehicles, on which the painted lines were found."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,6 +137,7 @@ class CameraRun:
         if first is None:
             raise NoTrafficError("images", "none", "at least one")
         width, height = self.image_size = (first[1].shape[1], first[1].shape[0])
+        self.homography = plane_of_images(self.homography, self.image_size)
         self.projector = projector = BoxProjector(self.homography, self.image_size)
         parameters = TrackerParameters(image_width=width, image_height=height)
         tracker = make_tracker(parameters=parameters)
@@ -292,6 +291,7 @@ class CameraJob:
         ground = self.run.ground_tracks(shown, video, rate)
         tracks = self._recording.tee(ground)
         self.lane_map = self._lanes(tracks, images.name)
+        self.homography = self.run.homography
         if self.run.views.eventful:
             self._recording, self.run.mapper = Recording(), self._mapper()
             again = self.run.ground_tracks_again()
@@ -347,7 +347,7 @@ class CameraJob:
             estimator=self.estimator,
         )
         if self._road is not None:
-            write_image(folder / ROAD, self._road)
+            write_image(folder / ROAD_IMAGE, self._road)
         remarks = InputReport(str(tracks), "boxes", len(frames.rows))
         note_other_classes(remarks, frames)
         for sentence in images.remarks.sentences():

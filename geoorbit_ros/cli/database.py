@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
     from geoorbit_ros.lanes.lanes_over_time import LanesOverTime
     from geoorbit_ros.storage.database.reader import TrajectoryReader
-    from geoorbit_ros.storage.database.traffic import SeriesContent, SeriesName, TrafficReader
+    from geoorbit_ros.storage.database.traffic import TrafficReader
+    from geoorbit_ros.storage.database.traffic_series import SeriesContent, SeriesName
 
 app = typer.Typer(
     help="Look into the trajectory database that the recorder writes; export it.",
@@ -37,8 +38,12 @@ class StoredTable(StrEnum):
     TRACKS = "tracks"
     INTERVALS = "intervals"
     VEHICLES = "vehicles"
+    MOVEMENTS = "movements"
+    EVENTS = "events"
 
 
+OF_SERIES = (StoredTable.INTERVALS, StoredTable.MOVEMENTS)
+"""Tables that each length of intervals has; of the others one is enough for a camera."""
 _TIME_HELP = "2026-05-01T06:00 (UTC without an offset), or seconds on the stamps' clock."
 
 
@@ -54,6 +59,7 @@ def info(database: DatabaseArgument) -> None:
     with TrafficReader(database) as reader:
         cameras, series = reader.cameras(), reader.traffic_series()
         vehicles = {c.camera_id: reader.traffic_vehicle_count(c.camera_id) for c in cameras}
+        events = [_event_count(reader, found.name) for found in series]
     typer.echo(
         f"{database}: {format_size(database.stat().st_size)}, {count_of(len(cameras), 'camera')}"
     )
@@ -70,7 +76,7 @@ def info(database: DatabaseArgument) -> None:
     console.print(table)
     _show_views(database)
     if series:
-        _show_traffic(series, vehicles)
+        _show_traffic(series, vehicles, events)
 
 
 def _show_views(database: Path) -> None:
@@ -90,15 +96,25 @@ def _utc_text(stamp_ns: int) -> str:
     return datetime.fromtimestamp(stamp_ns / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
 
 
-def _show_traffic(series: tuple[SeriesContent, ...], vehicles: dict[str, int]) -> None:
+def _event_count(reader: TrafficReader, series: SeriesName) -> int:
+    """How many events are stored."""
+    import numpy as np
+
+    rows = reader.traffic_events(series)
+    return len(np.unique(rows["event_id"])) if len(rows) else 0
+
+
+def _show_traffic(
+    series: tuple[SeriesContent, ...], vehicles: dict[str, int], events: list[int]
+) -> None:
     """A row for each camera, length of intervals, time zone and class scheme."""
     from geoorbit_ros.cli.console import console, make_table
     from geoorbit_ros.traffic.class_schemes import stored_scheme
     from geoorbit_ros.traffic.interval_clock import IntervalClock
 
-    head = "camera|from|to|>interval\ns|classes|>intervals|>rows|>passages"
+    head = "camera|from|to|>interval\ns|classes|>intervals|>rows|>passages|>events"
     table = make_table("Traffic", head)
-    for found in series:
+    for found, event_count in zip(series, events, strict=True):
         name = found.name
         clock = IntervalClock(name.length_s, name.zone)
         table.add_row(
@@ -110,6 +126,7 @@ def _show_traffic(series: tuple[SeriesContent, ...], vehicles: dict[str, int]) -
             f"{found.intervals}",
             f"{found.rows}",
             f"{vehicles[name.camera_id]}",
+            f"{event_count}",
         )
     console.print(table)
 
@@ -138,8 +155,9 @@ def export(
     Of tracks, one row per vehicle and frame: camera_id, stamp_ns, track_id, position and speed in
     the map frame (x_m, y_m east and north of the datum), heading, size, score, error, local_time.
     Where a lane map is stored, also latitude_deg, longitude_deg, lane_id, and lane_number, counted
-    from the outer edge of the road. The tables intervals and vehicles have the columns of
-    [bold]geoorbit traffic[/bold] after camera_id, and intervals are in their own time zone.
+    from the outer edge of the road. The tables intervals, vehicles, movements and events have the
+    columns of [bold]geoorbit traffic[/bold] after camera_id; times of intervals are in their own
+    zone. Of events that is every one about which something was told between --from and --to.
 
     Example: [bold]geoorbit db export trajectories.db --out may.parquet --from 2026-05-01
     --to 2026-06-01[/bold]
@@ -230,7 +248,7 @@ def _export_traffic(
         parts = [
             _traffic_table(reader, table, name, (start_ns, end_ns), zone)
             for k, name in enumerate(wanted)
-            if table is StoredTable.INTERVALS or name.camera_id != wanted[k - 1].camera_id or not k
+            if table in OF_SERIES or name.camera_id != wanted[k - 1].camera_id or not k
         ]
     with atomic_output(out) as temporary:
         write(temporary, parts)
@@ -244,25 +262,35 @@ def _traffic_table(
     between_ns: tuple[int | None, int | None],
     zone: str | None,
 ) -> pa.Table:
-    """Stored rows of a series, or the vehicles of its camera: as `geoorbit traffic` has them."""
+    """Stored rows of a series, or those of its camera: as `geoorbit traffic` has them."""
     import numpy as np
     import pyarrow as pa
 
+    from geoorbit_ros.traffic import tables
     from geoorbit_ros.traffic.class_schemes import stored_scheme
+    from geoorbit_ros.traffic.event_records import EVENT_DTYPE, newest_rows
     from geoorbit_ros.traffic.interval_clock import IntervalClock
+    from geoorbit_ros.traffic.movements import MOVEMENT_DTYPE
     from geoorbit_ros.traffic.packed import unpack_measures, unpack_passages
-    from geoorbit_ros.traffic.tables import interval_table, vehicle_table
 
     scheme = stored_scheme(series.scheme)
+    clock = IntervalClock(series.length_s, zone or series.zone)
     start_ns = -(2**62) if between_ns[0] is None else between_ns[0]
     end_ns = 2**62 if between_ns[1] is None else between_ns[1]
     if table is StoredTable.INTERVALS:
         rows = unpack_measures(reader.traffic_rows(series, start_ns, end_ns))
-        clock = IntervalClock(series.length_s, zone or series.zone)
-        content = interval_table(rows, scheme, clock)
+        content = tables.interval_table(rows, scheme, clock)
+    elif table is StoredTable.MOVEMENTS:
+        moved = reader.traffic_movements(series, start_ns, end_ns)
+        rows = moved.astype(MOVEMENT_DTYPE) if len(moved) else np.empty(0, MOVEMENT_DTYPE)
+        content = tables.movement_table(rows, scheme, clock)
+    elif table is StoredTable.EVENTS:
+        told = reader.traffic_events(series, start_ns, end_ns)
+        rows = newest_rows(told) if len(told) else np.empty(0, EVENT_DTYPE)
+        content = tables.event_table(rows)
     else:
         vehicles = unpack_passages(reader.traffic_vehicles(series.camera_id, start_ns, end_ns))
-        content = vehicle_table(vehicles, scheme)
+        content = tables.vehicle_table(vehicles, scheme)
     names = pa.array(np.full(content.num_rows, series.camera_id, dtype=object), pa.string())
     return content.add_column(0, "camera_id", names)
 

@@ -132,6 +132,14 @@ CalibrationOption = Annotated[
         "--calibration", help="Control points: a CSV with pixel_x, pixel_y, latitude, longitude."
     ),
 ]
+CameraInfoOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--camera-info",
+        help="The camera's lens: camera_info in YAML, as ROS' camera_calibration writes it; "
+        "default: as the control points' file says.",
+    ),
+]
 CameraIdOption = Annotated[
     str | None, typer.Option("--camera-id", help="Which camera, for a bag that holds several.")
 ]
@@ -153,8 +161,8 @@ ImageSizeOption = Annotated[
     typer.Option(
         "--image-size",
         metavar="WxH",
-        help="Size of the camera's image in pixels; default: as the bag's CameraInfo or the track "
-        "file says, else 1920x1080.",
+        help="Size of the camera's image in pixels; default: as the bag's CameraInfo, the track "
+        "file or --image says, or the road.png beside it, else 1920x1080.",
     ),
 ]
 RoadImageOption = Annotated[
@@ -207,6 +215,10 @@ UpdatePeriodOption = Annotated[
         help="Data time between two updates of the map.",
     ),
 ]
+
+
+ROAD_IMAGE = "road.png"
+"""The road without vehicles, on which painted lines were found: `geoorbit process` writes it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -321,6 +333,7 @@ def load_camera(
     out: Path,
     options: ReadOptions | None = None,
     image: str | None = None,
+    camera_info: Path | None = None,
 ) -> CameraInput:
     """Read what the options name; `out` must be none of it.
 
@@ -334,6 +347,7 @@ def load_camera(
         out: Option `--out`.
         options: What else the user says about the track file.
         image: Option `--image`: boxes are in its pixels where nobody says another size.
+        camera_info: Option `--camera-info`.
 
     Raises:
         GeoOrbitError: An option, a file or a value in it is wrong.
@@ -343,19 +357,22 @@ def load_camera(
     from geoorbit_ros.lanes.pipeline import note_other_classes
 
     source = _source(tracks, bag, calibration, out)
-    options = with_image_size(image_size, options)
+    options = with_image_size(image_size, options, stated_image_size(calibration))
     with status(f"reading {source}"):
         name, topic, frames, report = _boxes(source, bag is not None, camera_id, options)
-        if image and not image_size:
+        view = image or _road_beside(source)
+        if view and not image_size:
             from geoorbit_ros.cli.images import first_view
 
-            height, width = first_view(image).shape[:2]
+            height, width = first_view(view).shape[:2]
             seen = (width, height)
             if seen != report.image_size and _reach_within(frames, seen):
                 options = replace(options, default_size=seen)
                 name, topic, frames, report = _boxes(source, bag is not None, camera_id, options)
     size = report.image_size or ASSUMED_SIZE
-    homography, origin = load_calibration(calibration, datum, size, strict=options.strict)
+    homography, origin = load_calibration(
+        calibration, datum, size, strict=options.strict, camera_info=camera_info
+    )
     note_other_classes(report, frames)
     projector = BoxProjector(homography, size)
     projector.doubted = report.doubtful
@@ -376,6 +393,12 @@ def _boxes(
     from geoorbit_ros.storage.tracks.reader import read_tracks
 
     return source.absolute().parent.name or "camera", "", *read_tracks(source, options)
+
+
+def _road_beside(source: Path) -> str | None:
+    """The image that `geoorbit process` wrote beside its tracks: it tells the size."""
+    road = source.parent / ROAD_IMAGE
+    return str(road) if source.is_file() and road.is_file() else None
 
 
 def _reach_within(frames: Frames, size: tuple[int, int]) -> bool:
@@ -403,8 +426,30 @@ def _source(tracks: Path | None, bag: Path | None, calibration: Path, out: Path)
     return source
 
 
-def with_image_size(image_size: str | None, options: ReadOptions | None = None) -> ReadOptions:
+def stated_image_size(calibration: Path) -> tuple[int, int] | None:
+    """The image size that a control point file says; None where it says none, or isn't there."""
+    from geoorbit_ros.calibration.camera_facts import read_facts
+    from geoorbit_ros.core.errors import InputFileError
+    from geoorbit_ros.storage.tracks.csv_text import split_header
+
+    try:
+        comments = split_header(calibration, "control points").comments
+    except InputFileError:
+        return None  # its reader says what is wrong with it
+    return read_facts(comments, str(calibration)).image_size
+
+
+def with_image_size(
+    image_size: str | None,
+    options: ReadOptions | None = None,
+    otherwise: tuple[int, int] | None = None,
+) -> ReadOptions:
     """The options with `--image-size`, and what is taken where nobody says how large the image is.
+
+    Args:
+        image_size: The option.
+        options: The others.
+        otherwise: Taken where neither the option nor the tracks say it; None: `ASSUMED_SIZE`.
 
     Raises:
         ParameterError: Not two whole numbers from 16 to 32768.
@@ -412,7 +457,8 @@ def with_image_size(image_size: str | None, options: ReadOptions | None = None) 
     from geoorbit_ros.storage.tracks.cleaning import ReadOptions
 
     size = None if image_size is None else parse_image_size(image_size)
-    return replace(options or ReadOptions(), image_size=size, default_size=ASSUMED_SIZE)
+    assumed = otherwise or ASSUMED_SIZE
+    return replace(options or ReadOptions(), image_size=size, default_size=assumed)
 
 
 def read_options(fps: float | None, columns: str | None, classes: str, strict: bool) -> ReadOptions:
@@ -436,19 +482,23 @@ def load_calibration(
     image_size: tuple[int, int] | None = None,
     *,
     strict: bool = False,
+    camera_info: Path | None = None,
 ) -> tuple[Homography, Datum]:
     """The road plane of a file of control points, and the origin of its map frame.
 
     Args:
         calibration: The file.
         datum: Option `--datum`.
-        image_size: (width, height) in pixels, for control points in shares of the image.
+        image_size: (width, height) in pixels of the camera's images; None: not known yet.
         strict: Whether any fault refuses the file.
+        camera_info: Option `--camera-info`.
 
     Raises:
         GeoOrbitError: The file, a value in it or the datum is wrong.
     """
-    homography = read_plane(calibration, parse_datum(datum), image_size, strict=strict)
+    homography = read_plane(
+        calibration, parse_datum(datum), image_size, strict=strict, camera_info=camera_info
+    )
     return homography, homography.points.need_datum("--datum LAT,LON: where x_m = y_m = 0 is")
 
 
@@ -458,13 +508,14 @@ def read_plane(
     image_size: tuple[int, int] | None = None,
     *,
     strict: bool = False,
+    camera_info: Path | None = None,
 ) -> Homography:
     """The road plane of a file of control points; see `load_calibration`."""
-    from geoorbit_ros.calibration.control_point_file import read_control_points
+    from geoorbit_ros.calibration.camera_info import read_calibration
     from geoorbit_ros.calibration.homography import fit_homography
     from geoorbit_ros.calibration.plausibility import calibration_report
 
-    points = read_control_points(calibration, datum, image_size=image_size, strict=strict)
+    points = read_calibration(calibration, camera_info, datum, image_size=image_size, strict=strict)
     homography = fit_homography(points)
     if strict:
         calibration_report(homography).check(strict, "control points that agree")

@@ -12,6 +12,7 @@ from geoorbit_ros.cli.inputs import (
     BagOption,
     CalibrationOption,
     CameraIdOption,
+    CameraInfoOption,
     ClassesOption,
     ColumnsOption,
     DatumOption,
@@ -37,6 +38,7 @@ def lanes(
     estimator: EstimatorOption = DEFAULT_ESTIMATOR,
     image_size: ImageSizeOption = None,
     datum: DatumOption = None,
+    camera_info: CameraInfoOption = None,
     image: RoadImageOption = None,
     update_period_s: UpdatePeriodOption = 5.0,
     fps: TrackFpsOption = None,
@@ -62,7 +64,7 @@ def lanes(
 
     options = read_options(fps, columns, classes, strict)
     camera = load_camera(
-        tracks, bag, calibration, camera_id, image_size, datum, out, options, image
+        tracks, bag, calibration, camera_id, image_size, datum, out, options, image, camera_info
     )
     recording = Recording()
     with atomic_output(out) as path:

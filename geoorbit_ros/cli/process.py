@@ -11,6 +11,7 @@ import typer
 from geoorbit_ros.cli.inputs import (
     DEFAULT_ESTIMATOR,
     CalibrationOption,
+    CameraInfoOption,
     ClassNamesOption,
     DatumOption,
     DurationOption,
@@ -55,6 +56,7 @@ def process(
     ] = None,
     estimator: EstimatorOption = DEFAULT_ESTIMATOR,
     datum: DatumOption = None,
+    camera_info: CameraInfoOption = None,
     update_period_s: UpdatePeriodOption = 5.0,
     start_time: StartTimeOption = None,
     password_file: PasswordFileOption = None,
@@ -81,13 +83,13 @@ def process(
 
     again = resume or force
     check_new_folder(out, overwrite=again)
-    homography, origin = load_calibration(calibration, datum, strict=strict)
+    plane = load_calibration(calibration, datum, strict=strict, camera_info=camera_info)
     settings = DetectorSettings(min_score, class_names=parse_names(class_names))
     left_out = None if strict else LeftOut()
     options = ImageOptions(fps, duration, start_time, left_out, password_file, max_fps)
     with prepared_run(source, out, options, model, settings, resume=resume) as (images, run):
         name = camera_id or _name(source)
-        job = CameraJob(name, calibration, homography, origin, run, estimator, update_period_s)
+        job = CameraJob(name, calibration, *plane, run, estimator, update_period_s)
         with EarlyEnd(images, run, out) as early, atomic_output(out, overwrite=again) as folder:
             folder.mkdir()
             job.find_lanes(images, duration, folder / VIDEO if video else None)

@@ -16,6 +16,7 @@ from geoorbit_ros.cli.inputs import (
     DEFAULT_ESTIMATOR,
     CalibrationOption,
     CameraIdOption,
+    CameraInfoOption,
     DatumOption,
     EstimatorOption,
     ImageSizeOption,
@@ -47,6 +48,7 @@ def replay(
     estimator: EstimatorOption = DEFAULT_ESTIMATOR,
     image_size: ImageSizeOption = None,
     datum: DatumOption = None,
+    camera_info: CameraInfoOption = None,
     image: RoadImageOption = None,
     update_period_s: UpdatePeriodOption = 5.0,
     database: Annotated[
@@ -76,23 +78,21 @@ def replay(
     from geoorbit_ros.nodes.support.bag_replay import ReplayRequest
 
     options = read_options(None, None, "coco", strict)
-    camera = load_camera(None, bag, calibration, camera_id, image_size, datum, out, options, image)
+    named = (camera_id, image_size, datum, out, options, image, camera_info)
+    camera = load_camera(None, bag, calibration, *named)
     datum_deg = (camera.datum.latitude_deg, camera.datum.longitude_deg)
     size, quiet = camera.image_size, not verbose
     request = ReplayRequest(
         bag, calibration, camera.camera_id, datum_deg, size, rate, estimator, update_period_s,
-        database, road_background(image) if image else None, domain_id, quiet,
+        database, road_background(image) if image else None, domain_id, quiet, camera_info,
     )  # fmt: skip
     with as_the_nodes_take_it(camera) as played:
         lane_map, elapsed_s = _run(replace(request, bag=played), camera, out)
     recorded_s = (camera.frames.stamp_ns[-1] - camera.frames.stamp_ns[0]) / 1e9
     print_lanes(lane_map, f"Lanes of {camera.camera_id}")
     print_remarks(camera.input_report)
-    console.print(
-        f" Replayed {len(camera.frames)} frames, {recorded_s:.1f} s, in {elapsed_s:.1f} s;"
-        f" wrote {out}",
-        soft_wrap=True,
-    )
+    said = f" Replayed {len(camera.frames)} frames, {recorded_s:.1f} s, in {elapsed_s:.1f} s;"
+    console.print(f"{said} wrote {out}", soft_wrap=True)
 
 
 def demo(

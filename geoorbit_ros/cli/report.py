@@ -12,6 +12,7 @@ from geoorbit_ros.cli.inputs import (
     BagOption,
     CalibrationOption,
     CameraIdOption,
+    CameraInfoOption,
     CameraInput,
     ClassesOption,
     ColumnsOption,
@@ -62,6 +63,7 @@ def report(
     estimator: EstimatorOption = DEFAULT_ESTIMATOR,
     image_size: ImageSizeOption = None,
     datum: DatumOption = None,
+    camera_info: CameraInfoOption = None,
     update_period_s: UpdatePeriodOption = 5.0,
     fps: TrackFpsOption = None,
     columns: ColumnsOption = None,
@@ -81,9 +83,8 @@ def report(
     from geoorbit_ros.report.text import summary_sentence
 
     options = read_options(fps, columns, classes, strict)
-    camera = load_camera(
-        tracks, bag, calibration, camera_id, image_size, datum, out, options, image
-    )
+    named = (camera_id, image_size, datum, out, options, image, camera_info)
+    camera = load_camera(tracks, bag, calibration, *named)
     true = read_lanes_aloud(truth, camera.datum).lane_map.lanes if truth else None
     recording = Recording()
     ground = recording.tee(camera.ground_tracks())

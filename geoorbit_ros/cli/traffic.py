@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,6 +12,7 @@ from geoorbit_ros.cli.inputs import (
     DEFAULT_ESTIMATOR,
     BagOption,
     CameraIdOption,
+    CameraInfoOption,
     ClassesOption,
     ColumnsOption,
     DatumOption,
@@ -25,21 +25,17 @@ from geoorbit_ros.cli.inputs import (
     TracksOption,
     UpdatePeriodOption,
     load_camera,
-    make_mapper,
     read_options,
 )
+from geoorbit_ros.cli.traffic_source import TrafficSource, source_of_camera, source_of_database
 from geoorbit_ros.core.errors import ParameterError
 
 if TYPE_CHECKING:
     from geoorbit_ros.calibration.datum import Datum
-    from geoorbit_ros.calibration.plane import RoadPlane
-    from geoorbit_ros.cli.inputs import CameraInput
-    from geoorbit_ros.core.input_report import InputReport
-    from geoorbit_ros.core.lanes import LaneMap
-    from geoorbit_ros.core.tables import Frames
     from geoorbit_ros.traffic.class_schemes import ClassScheme
     from geoorbit_ros.traffic.count import Recorded
     from geoorbit_ros.traffic.interval_clock import IntervalClock
+    from geoorbit_ros.traffic.stations import StationPlace
 
 SHOWN_EVENTS = 10
 """So many events are told on the console. Chosen: more push the table out of sight."""
@@ -77,6 +73,15 @@ SchemeOption = Annotated[
     typer.Option("--class-scheme", help="Vehicle classes: coco, fhwa3, tls5+1 or a YAML file."),
 ]
 
+StationOption = Annotated[
+    str | None,
+    typer.Option(
+        "--station",
+        metavar="LAT,LON|METRES",
+        help="Count at this place, or so many metres along the longest lane of each direction; "
+        "default: where traffic is seen best.",
+    ),
+]
 RoadMapOption = Annotated[
     Path | None,
     typer.Option(
@@ -97,11 +102,13 @@ def traffic(
     interval: IntervalOption = "15min",
     timezone: TimezoneOption = None,
     class_scheme: SchemeOption = "coco",
+    station: StationOption = None,
     road_map: RoadMapOption = None,
     camera_id: CameraIdOption = None,
     estimator: EstimatorOption = DEFAULT_ESTIMATOR,
     image_size: ImageSizeOption = None,
     datum: DatumOption = None,
+    camera_info: CameraInfoOption = None,
     image: RoadImageOption = None,
     update_period_s: UpdatePeriodOption = 5.0,
     fps: TrackFpsOption = None,
@@ -134,171 +141,16 @@ def traffic(
         if calibration is None:
             raise ParameterError("option --calibration", "nothing", "a file of control points")
         options = read_options(fps, columns, classes, strict)
-        camera = load_camera(
-            tracks, bag, calibration, camera_id, image_size, datum, out, options, image
-        )
-        source = _of_camera(camera, lanes, estimator, update_period_s, image)
+        named = (camera_id, image_size, datum, out, options, image, camera_info)
+        camera = load_camera(tracks, bag, calibration, *named)
+        source = source_of_camera(camera, lanes, estimator, update_period_s, image)
     with atomic_output(out, overwrite=force) as folder:
         folder.mkdir()
-        recorded = source.count()
+        recorded = _counted(source, clock, station, one_map=road_map is not None)
         _write(folder, source, recorded, scheme, clock)
         _write_page(folder / "report.html", source, recorded, scheme, clock)
         said = _write_for_sumo(folder / "sumo", road_map, source, recorded, clock)
-    _tell(source, recorded, scheme, clock)
-    _say_where(out, recorded, clock, said)
-
-
-@dataclass(frozen=True)
-class TrafficSource:
-    """Ground tracks of one camera and the lanes that they are counted on.
-
-    Attributes:
-        camera_id: Its name.
-        lane_map: The lanes.
-        write_lanes: Writes them to a file.
-        datum: Origin of the map frame of both.
-        plane: The calibration, if it is known.
-        blocks: The ground tracks.
-        frames_between: Those from one stamp to another, both included.
-        frame_count: How many frames there are.
-        max_gap_s: How long a pause between frames may be.
-        reports: What is to be said about the input.
-        files: Names and values for the report: where tracks and lanes came from.
-    """
-
-    camera_id: str
-    lane_map: LaneMap
-    write_lanes: Callable[[Path], None]
-    datum: Datum
-    plane: RoadPlane | None
-    blocks: Callable[[], Iterator[Frames]]
-    frames_between: Callable[[int, int], Frames]
-    frame_count: int
-    max_gap_s: float
-    reports: Callable[[], tuple[InputReport, ...]]
-    files: tuple[tuple[str, str], ...] = ()
-
-    def count(self) -> Recorded:
-        """Count all vehicles, under a progress bar."""
-        from geoorbit_ros.cli.console import shown_progress
-        from geoorbit_ros.traffic.count import record
-        from geoorbit_ros.traffic.counter import TrafficCounter
-
-        counter = TrafficCounter(self.lane_map.lanes, self.plane)
-        with shown_progress() as tell:
-
-            def told() -> Iterator[Frames]:
-                done = 0
-                for frames in self.blocks():
-                    yield frames
-                    done += len(frames)
-                    tell("counting vehicles", min(done / max(self.frame_count, 1), 1.0))
-
-            return record(counter, told(), self.max_gap_s)
-
-
-def _of_camera(
-    camera: CameraInput,
-    lanes: Path | None,
-    estimator: str,
-    update_period_s: float,
-    image: str | None,
-) -> TrafficSource:
-    """The traffic of a file of tracks or a bag."""
-    from geoorbit_ros.cli.console import read_lanes_aloud
-    from geoorbit_ros.core.tables import frames_between
-    from geoorbit_ros.lanes.geojson import write_lanes
-    from geoorbit_ros.traffic.interval_clock import usual_gap_s
-
-    ground = list(camera.ground_tracks())
-    if lanes:
-        lane_map = read_lanes_aloud(lanes, camera.datum).lane_map
-    else:
-        lane_map = camera.find_lanes(iter(ground), make_mapper(estimator, update_period_s))
-    if image and not lanes:
-        lane_map, _ = camera.follow_paint(lane_map, image)
-
-    def write(path: Path) -> None:
-        write_lanes(path, lane_map, camera.datum, camera_id=camera.camera_id, estimator=estimator)
-
-    return TrafficSource(
-        camera.camera_id,
-        lane_map,
-        write,
-        camera.datum,
-        camera.homography,
-        lambda: iter(ground),
-        lambda first_ns, last_ns: frames_between(ground, first_ns, last_ns),
-        len(camera.frames),
-        usual_gap_s(camera.frames),
-        camera.reports,
-        (
-            ("Tracks", camera.source.name),
-            ("Control points", camera.calibration.name),
-            ("Lanes", lanes.name if lanes else estimator),
-        ),
-    )
-
-
-def source_of_database(
-    database: Path, camera_id: str | None, calibration: Path | None, lanes: Path | None
-) -> TrafficSource:
-    """The traffic of one camera in a trajectory database.
-
-    Raises:
-        GeoOrbitError: No such camera, several and none named, or no lanes.
-    """
-    from geoorbit_ros.cli.console import read_lanes_aloud
-    from geoorbit_ros.cli.inputs import read_plane
-    from geoorbit_ros.lanes.geojson import parse_lane_file, write_lanes
-    from geoorbit_ros.storage.database.reader import TrajectoryReader
-    from geoorbit_ros.traffic.interval_clock import GAP_S
-
-    with TrajectoryReader(database) as reader:
-        frame_counts = {camera.camera_id: camera.frames for camera in reader.cameras()}
-        known = list(frame_counts)
-        name = camera_id or (known[0] if len(known) == 1 else "")
-        if not name:
-            if not known:
-                raise ParameterError(
-                    "option --database", f"no camera in {database}", "tracks in it"
-                )
-            found = f"{len(known)} cameras in {database}"
-            raise ParameterError("option --camera-id", found, f"one of {', '.join(known)}")
-        stamps = reader.lane_map_stamps(name)
-        if not stamps and lanes is None:
-            raise ParameterError("option --lanes", f"no lane map of {name} stored", "a lane file")
-        text = reader.lane_maps(name, stamps[-1], stamps[-1] + 1)[0][1] if stamps else ""
-    stored = parse_lane_file(text, f"{database}, lane map of {name}") if stamps else None
-    file = read_lanes_aloud(lanes, stored.datum if stored else None) if lanes else stored
-    assert file is not None
-    plane = read_plane(calibration, file.datum) if calibration else None
-
-    def blocks() -> Iterator[Frames]:
-        with TrajectoryReader(database) as reader:
-            yield from reader.batches(name)
-
-    def frames_between(first_ns: int, last_ns: int) -> Frames:
-        with TrajectoryReader(database) as reader:
-            return reader.read(name, first_ns, last_ns + 1)
-
-    def write(path: Path) -> None:
-        write_lanes(path, file.lane_map, file.datum, camera_id=name, estimator=file.estimator)
-
-    files = (("Tracks", database.name), ("Lanes", lanes.name if lanes else database.name))
-    return TrafficSource(
-        name,
-        file.lane_map,
-        write,
-        file.datum,
-        plane,
-        blocks,
-        frames_between,
-        frame_counts.get(name, 0),
-        GAP_S,
-        lambda: (),
-        files,
-    )
+    _tell(out, source, recorded, scheme, clock, said)
 
 
 def _write(
@@ -330,7 +182,7 @@ def _write(
     for name, parts in tables.items():
         write_csv(folder / f"{name}.csv", parts)
         write_parquet(folder / f"{name}.parquet", parts)
-    source.write_lanes(folder / "lanes.geojson")
+    source.write_lanes(folder / "lanes.geojson", recorded)
 
 
 def _write_page(
@@ -381,7 +233,12 @@ def _write_for_sumo(
 
 
 def _tell(
-    source: TrafficSource, recorded: Recorded, scheme: ClassScheme, clock: IntervalClock
+    out: Path,
+    source: TrafficSource,
+    recorded: Recorded,
+    scheme: ClassScheme,
+    clock: IntervalClock,
+    said: Sequence[str],
 ) -> None:
     """One row per lane for the whole recording, and the events."""
     import numpy as np
@@ -415,12 +272,15 @@ def _tell(
     not_crossed = recorded.vehicles - recorded.in_no_lane - crossed
     for sentence in uncounted_sentences(recorded.vehicles, recorded.in_no_lane, not_crossed):
         say(sentence)
+    for sentence in _station_sentences(recorded, source.datum):
+        say(sentence)
     for sentence in event_sentences(recorded.events, clock.zone)[:SHOWN_EVENTS]:
         say(sentence)
     more = len(recorded.events) - SHOWN_EVENTS
     if more > 0:
         say(f"{count_of(more, 'more event')} in events.csv.")
     print_remarks(*source.reports())
+    _say_where(out, recorded, clock, said)
 
 
 def _say_where(out: Path, recorded: Recorded, clock: IntervalClock, said: Sequence[str]) -> None:
@@ -437,6 +297,69 @@ def _say_where(out: Path, recorded: Recorded, clock: IntervalClock, said: Sequen
         f"{clock.text(recorded.first_ns)}; wrote {out}",
         soft_wrap=True,
     )
+
+
+def _station_place(given: str | None, datum: Datum) -> StationPlace | None:
+    """The place of `--station`.
+
+    Raises:
+        ParameterError: Neither a place on earth nor metres.
+    """
+    import numpy as np
+
+    from geoorbit_ros.cli.inputs import parse_datum
+    from geoorbit_ros.traffic.stations import StationPlace
+
+    if given is None:
+        return None
+    try:
+        if "," not in given:
+            return StationPlace(along_m=float(given))
+        place = parse_datum(given)
+        assert place is not None
+    except (ValueError, ParameterError) as error:
+        expected = "LATITUDE,LONGITUDE or metres along the road"
+        raise ParameterError("option --station", repr(given), expected) from error
+    point_m = datum.to_local(np.array([place.latitude_deg]), np.array([place.longitude_deg]))
+    return StationPlace(point_m[0])
+
+
+def _counted(
+    source: TrafficSource, clock: IntervalClock, station: str | None, *, one_map: bool
+) -> Recorded:
+    """Count all vehicles; SUMO's files are of one network, and so of one lane map."""
+    place = _station_place(station, source.datum)
+    recorded = source.count(None if one_map else clock, place)
+    _check_stations(place, station, recorded)
+    return recorded
+
+
+def _check_stations(place: StationPlace | None, given: str | None, recorded: Recorded) -> None:
+    """Whether any direction has its station at the place.
+
+    Raises:
+        ParameterError: It is beside no lane.
+    """
+    if place is None or any(place.on(lane) is not None for lane in recorded.counter.lanes):
+        return
+    longest_m = max(lane.length_m for lane in recorded.counter.lanes)
+    expected = f"a place beside a lane, or 0 to {longest_m:.0f} m along the longest"
+    raise ParameterError("option --station", repr(given), expected)
+
+
+def _station_sentences(recorded: Recorded, datum: Datum) -> list[str]:
+    """Where each counting station is."""
+    counter = recorded.counter
+    said = []
+    for station in counter.stations:
+        ((latitude, longitude),) = datum.to_geodetic(station.place_m[None]).tolist()
+        lanes = [counter.lanes[k] for k in station.lanes]
+        longest = max(range(len(lanes)), key=lambda k: lanes[k].length_m)
+        said.append(
+            f"Station {station.station_id} is at {latitude:.6f},{longitude:.6f}, "
+            f"{station.arc_m[longest]:.0f} m along lane {lanes[longest].lane_id}."
+        )
+    return said
 
 
 def clock_of(interval: str, timezone: str | None) -> IntervalClock:

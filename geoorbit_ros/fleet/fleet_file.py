@@ -109,6 +109,8 @@ class Camera(StrictModel):
         source: A video file, `rtsp://…`, `http://…`, a folder of images, `scene:NAME` for a
             made-up camera, or `bag:FOLDER` for recorded boxes.
         calibration: Control points, a CSV file. A `scene:` camera brings its own.
+        camera_info: Its lens: camera_info in YAML, as ROS' camera_calibration writes it; default:
+            as the control points' file says.
         password_file: File with the camera's password, in place of one in `source`, which then
             names the user alone: `rtsp://admin@camera/1`.
         password_variable: Environment variable with it.
@@ -130,6 +132,7 @@ class Camera(StrictModel):
     password_file: FilePath | None = None
     password_variable: str | None = None
     calibration: FilePath | None = None
+    camera_info: FilePath | None = None
     model: FilePath | None = None
     image_size: tuple[Pixels, Pixels] | None = None
     datum: Position | None = None

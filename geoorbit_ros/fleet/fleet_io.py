@@ -116,7 +116,7 @@ def fleet_name(file: Path) -> str:
 
 
 FOUND_KEYS = (
-    "id", "source", "calibration", "image_size", "datum", "model", "password_file",
+    "id", "source", "calibration", "camera_info", "image_size", "datum", "model", "password_file",
     "password_variable",
 )  # fmt: skip
 """What `add_camera` is told of a camera; the other keys are set by hand."""

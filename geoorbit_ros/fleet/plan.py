@@ -183,17 +183,13 @@ def camera_nodes(
     """The nodes of one camera, readers before writers: nothing is sent before it can be heard."""
     width, height = image_size(camera)
     size: dict[str, Value] = {"image_width": width, "image_height": height}
-    ground: dict[str, Value] = {"calibration_file": str(calibration_file(camera, base, output))}
-    if camera.datum:
-        ground["datum_latitude_deg"] = camera.datum.latitude_deg
-        ground["datum_longitude_deg"] = camera.datum.longitude_deg
+    seen = _calibration(camera, base, output)
     wiring: dict[str, dict[str, Value]] = {}
     if fleet.recorder and fleet.recorder.enabled:
         folder = output / fleet.recorder.folder
         wiring["recorder"] = {"database": str(folder / f"{camera.id}.db")}
     if fleet.traffic and fleet.traffic.enabled:
-        points = ground["calibration_file"]
-        wiring["traffic"] = {"timezone": camera.timezone, "calibration_file": points}
+        wiring["traffic"] = seen | {"timezone": camera.timezone}
         wiring["traffic"] |= wiring.get("recorder", {}) | fleet.traffic.parameters
     state = output / "state" / camera.id
     wiring["lane_geometry"] = {"state_file": str(state / "lanes.npz")}
@@ -203,7 +199,10 @@ def camera_nodes(
             wiring["meta_client"]["key_file"] = str(keys.folder / f"{camera.id}.key")
             wiring["meta_client"]["server_key"] = keys.server
             wiring["lane_geometry"]["lane_parameters_key"] = keys.cameras[camera.id]
-    wiring["homography"] = ground | size
+    wiring["homography"] = seen | size
+    if camera.datum:
+        wiring["homography"]["datum_latitude_deg"] = camera.datum.latitude_deg
+        wiring["homography"]["datum_longitude_deg"] = camera.datum.longitude_deg
     if camera.views:
         files = " ".join(f"{view.name}={base / view.calibration}" for view in camera.views)
         wiring["homography"]["view_calibrations"] = files
@@ -218,12 +217,12 @@ def camera_nodes(
             "stamp_now": True,
         }
     else:
-        wiring["overlay"] = {"calibration_file": ground["calibration_file"]}
+        wiring["overlay"] = dict(seen)
         model = _model(camera, base)
         wiring["tracker"] = dict(size)
         wiring["detector"] = {"model": model}
         if camera.watch_view:
-            wiring["view_watch"] = _view_watch(camera, base, state, ground["calibration_file"])
+            wiring["view_watch"] = _view_watch(camera, base, state, seen["calibration_file"])
         wiring["camera"] = _images(camera, base)
     for executable, values in wiring.items():
         given = _beside(executable, camera.parameters.get(executable, {}), base)
@@ -312,6 +311,14 @@ def image_source(camera: Camera, base: Path) -> str:
     return str(base / local_path(camera.source)) if camera.kind == "file" else camera.source
 
 
+def _calibration(camera: Camera, base: Path, output: Path) -> dict[str, Value]:
+    """The parameters with which a node finds a camera's calibration."""
+    found: dict[str, Value] = {"calibration_file": str(calibration_file(camera, base, output))}
+    if camera.camera_info is not None:
+        found["camera_info_file"] = str(base / camera.camera_info)
+    return found
+
+
 def calibration_file(camera: Camera, base: Path, output: Path) -> Path:
     """The camera's control points; a made-up camera's are written by `geoorbit up`."""
     if camera.calibration is None:
@@ -363,7 +370,8 @@ def missing_files(fleet: Fleet, base: Path) -> dict[str, list[Path]]:
     for camera in fleet.cameras:
         if not camera.enabled:
             continue
-        own = [f for f in (camera.calibration, camera.password_file) if f is not None]
+        named = (camera.calibration, camera.camera_info, camera.password_file)
+        own = [file for file in named if file is not None]
         own += [file for view in camera.views for file in (view.calibration, view.image)]
         files[camera.id] = own
         if camera.model is not None and str(camera.model) not in registered("detector"):

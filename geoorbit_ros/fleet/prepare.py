@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Container, Mapping, Sequence
 from pathlib import Path
 
+from geoorbit_ros.calibration.control_point_writer import write_control_points
 from geoorbit_ros.core.errors import GeoOrbitError, InputFileError
 from geoorbit_ros.core.input_report import InputReport, Treatment
 from geoorbit_ros.federated.keys import Signer, read_private_key, write_private_key
@@ -24,7 +25,6 @@ from geoorbit_ros.fleet.plan import (
     without,
 )
 from geoorbit_ros.rendering.frame_source import SCENES, SceneFrames, read_scene_spec
-from geoorbit_ros.scenes.output import calibration_text
 from geoorbit_ros.storage.atomic import atomic_output
 from geoorbit_ros.storage.bag_reader import describe_bag
 from geoorbit_ros.storage.frames.open_source import open_frame_source
@@ -126,12 +126,9 @@ def _ask_bag(camera: Camera, base: Path, _output: Path) -> tuple[int, int]:
 def _ask_scene(camera: Camera, base: Path, output: Path) -> tuple[int, int]:
     frames = SceneFrames(image_source(camera, base), SourceOptions())
     if camera.calibration is None:
-        points = frames.control_points
         file = calibration_file(camera, base, output)
         file.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_output(file) as path:
-            geodetic = frames.datum.to_geodetic(points.local_m)
-            path.write_text(calibration_text(points.pixel, geodetic), encoding="utf-8")
+        write_control_points(file, frames.control_points)
     return frames.image_size
 
 

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.calibration.elementwise import through
 from geoorbit_ros.calibration.plane import RoadPlane
 
 ALONG_M = 0.25
@@ -118,17 +119,20 @@ def rectify(
     depth = places[..., 2]
     with np.errstate(divide="ignore", invalid="ignore"):
         u, v = places[..., 0] / depth, places[..., 1] / depth
-        height, width = image.shape[:2]
-        low, high = BORDER_PX, np.array([width, height]) - 1.0 - BORDER_PX
-        # Behind the camera the depth has the other sign than at the control points.
-        seen = (u >= low) & (u <= high[0]) & (v >= low) & (v <= high[1])
-        seen &= u * homography.matrix[2, 0] + v * homography.matrix[2, 1] > -homography.matrix[2, 2]
         # How far the pixel moves for a metre across, and along: the quotient rule, times the depth.
         across, along = (
-            np.hypot(*(move[:, k, None] - p * move[:, 2, None] for k, p in enumerate((u, v))))
+            np.stack([move[:, k, None] - p * move[:, 2, None] for k, p in enumerate((u, v))])
             for move in (aside, ahead)
         )
-        across_m, along_m = np.abs(depth) / across, np.abs(depth) / along
+        # Behind the camera the depth has the other sign than at the control points.
+        seen = u * homography.matrix[2, 0] + v * homography.matrix[2, 1] > -homography.matrix[2, 2]
+        if homography.lens is not None:
+            (u, v), bend = homography.lens.distort_columns(np.stack((u, v)))
+            across, along = (through(bend, move[:, None])[:, 0] for move in (across, along))
+        height, width = image.shape[:2]
+        low, high = BORDER_PX, np.array([width, height]) - 1.0 - BORDER_PX
+        seen &= (u >= low) & (u <= high[0]) & (v >= low) & (v <= high[1])
+        across_m, along_m = (np.abs(depth) / np.hypot(*move) for move in (across, along))
     # Coordinates count from the corner of the first pixel, as boxes do; OpenCV from its middle.
     at = [np.where(seen, p - 0.5, -1.0).astype(np.float32) for p in (u, v)]
     sampled = cv2.remap(image, at[0], at[1], cv2.INTER_LINEAR, borderValue=0)

@@ -9,11 +9,14 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from geometry_msgs.msg import PoseArray
 from numpy.typing import NDArray
-from sensor_msgs.msg import NavSatFix, PointCloud2
+from rclpy.qos import qos_profile_sensor_data
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import CameraInfo, NavSatFix, PointCloud2
 from std_msgs.msg import Float64MultiArray
 
 from geoorbit_ros.calibration.box_projector import BoxProjector
-from geoorbit_ros.calibration.control_point_file import read_control_points
+from geoorbit_ros.calibration.camera_info import behind_lens, lens_of, read_calibration
+from geoorbit_ros.calibration.control_points import ControlPoints
 from geoorbit_ros.calibration.datum import Datum, given_datum
 from geoorbit_ros.calibration.homography import Homography, fit_homography
 from geoorbit_ros.conversions import (
@@ -35,12 +38,17 @@ from geoorbit_ros.view.looks import VIEW_DTYPE, look_of
 from geoorbit_ros.view.memory import named_files
 from geoorbit_ros.view.projection import ViewProjector
 
+INFO_TOPIC = "camera_info"
+AFTER_STAMP = 12
+"""Bytes of a serialised message before what follows its stamp."""
+
 
 @dataclass(frozen=True, slots=True)
 class HomographyParameters:
     """See params/homography.yaml."""
 
     calibration_file: str
+    camera_info_file: str
     image_width: int
     image_height: int
     datum_latitude_deg: float
@@ -57,7 +65,7 @@ class HomographyParameters:
 
 
 class HomographyNode(GeoOrbitNode[HomographyParameters]):
-    """Subscribes `tracks_px`, `view`; publishes `tracks`, `vehicles`, and its plane, latched.
+    """From `tracks_px`, `view`, `camera_info`: `tracks`, `vehicles`; `datum` and plane are latched.
 
     Every frame of `tracks_px` that can be used becomes one frame of `tracks` with its stamp, also
     when no vehicle is left in it. Frames that show no calibrated view become none.
@@ -75,18 +83,12 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
         place = f"node '{self.get_fully_qualified_name()}'"
         datum = given_datum(p.datum_latitude_deg, p.datum_longitude_deg, place)
         size = (p.image_width, p.image_height)
-        points = read_control_points(p.calibration_file, datum, image_size=size)
+        points = read_calibration(p.calibration_file, p.camera_info_file, datum, image_size=size)
         expected = "parameters datum_latitude_deg and datum_longitude_deg: where (0, 0) is"
         origin = points.need_datum(expected)
-        self._homography = fit_homography(points, p.pixel_sigma, p.ground_sigma_m)
-        self._projector = self._projector_of(self._homography)
-        self._views = ViewProjector(self._projector, self._other_views(origin, place))
-        for sentence in self._homography.describe_residuals():
-            self.get_logger().info(sentence)
-        for sentence in self._projector.calibration_report.sentences():
-            self.get_logger().warning(f"{points.place}: {sentence}")
-        if self._projector.pose_error is not None:
-            self.get_logger().warning(str(self._projector.pose_error))
+        self._plane = self.create_publisher(Float64MultiArray, PLANE_TOPIC, LATCHED)
+        self._others = self._other_views(origin, place)
+        self._calibrate(points)
         self.diagnostics.add_check(self._doubt)
         self.diagnostics.add_check(self._view_fault)
 
@@ -95,12 +97,55 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
         self._vehicles = self.create_publisher(PoseArray, "vehicles", qos)
         self._fix = self.create_publisher(NavSatFix, "datum", LATCHED)
         self._fix.publish(datum_to_fix(origin, p.frame_id))
-        self._plane = self.create_publisher(Float64MultiArray, PLANE_TOPIC, LATCHED)
-        self._plane.publish(plane_message(self._homography, size))
         self._on_road = 0
-        TableStream(self, "tracks_px", PIXEL_TRACK_DTYPE, p, self._on_frame, self._views.reset)
+        self._info, self._lens_remarks = b"", list[str]()
+        self.create_subscription(
+            CameraInfo, INFO_TOPIC, self._on_camera_info, qos_profile_sensor_data, raw=True
+        )
+        TableStream(self, "tracks_px", PIXEL_TRACK_DTYPE, p, self._on_frame, self._restart)
         self._view_topic = self.resolve_topic_name("view")
         self.create_subscription(PointCloud2, "view", self._on_view, LOOKS, raw=True)
+
+    def _calibrate(self, points: ControlPoints) -> None:
+        """Fit the road plane, tell what is to be said about it, and publish it."""
+        p = self.p
+        size = (p.image_width, p.image_height)
+        self._homography = fit_homography(points, p.pixel_sigma, p.ground_sigma_m)
+        self._projector = self._projector_of(self._homography)
+        self._views = ViewProjector(self._projector, self._others)
+        for sentence in self._homography.describe_residuals():
+            self.get_logger().info(sentence)
+        for sentence in self._projector.calibration_report.sentences():
+            self.get_logger().warning(f"{points.place}: {sentence}")
+        if self._projector.pose_error is not None:
+            self.get_logger().warning(str(self._projector.pose_error))
+        self._plane.publish(plane_message(self._homography, size))
+
+    def _restart(self) -> None:
+        self._views.reset()
+
+    def _on_camera_info(self, cdr: bytes) -> None:
+        """Take the lens of the first one, where no file says it; tell when it is another one."""
+        if cdr[AFTER_STAMP:] == self._info:  # as with every image before
+            return
+        self._info = cdr[AFTER_STAMP:]
+        place = self.resolve_topic_name(INFO_TOPIC)
+        try:
+            info = deserialize_message(cdr, CameraInfo)
+            if not (info.width and info.height and info.k[0]):  # a camera that isn't calibrated
+                return
+            size = (info.width, info.height)
+            lens = lens_of(size, info.k.tolist(), info.distortion_model, info.d.tolist(), place)
+            points, before = self._homography.points, len(self._homography.points.report.remarks)
+            behind = behind_lens(points, lens, place)
+            if behind is not points:
+                self._calibrate(behind)
+            found = points.report.remarks[before:]
+            self._lens_remarks = [r.sentence(len(points), "control points") for r in found]
+        except (GeoOrbitError, RuntimeError) as error:
+            self._lens_remarks = [f"not used: {error}"]
+        for sentence in self._lens_remarks:
+            self.get_logger().warning(sentence)
 
     def diagnostic_values(self) -> Mapping[str, object]:
         """Reprojection error of every control point, and what became of the boxes."""
@@ -112,7 +157,7 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
         }
         counts = {f"boxes_{key}": n for key, n in asdict(self._projector.counts).items()}
         readers = self.tracks.get_subscription_count()
-        remarks = " ".join(self._sentences())
+        remarks = " ".join([*self._sentences(), *self._lens_remarks])
         return {
             "vehicles": self._on_road,
             "tracks_subscribers": readers,
@@ -154,7 +199,7 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
         return {
             number: self._projector_of(
                 fit_homography(
-                    read_control_points(str(file), origin, image_size=size),
+                    read_calibration(str(file), p.camera_info_file, origin, image_size=size),
                     p.pixel_sigma,
                     p.ground_sigma_m,
                 )

@@ -7,14 +7,16 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import CompressedImage, PointCloud2
 from std_msgs.msg import String
 
-from geoorbit_ros.calibration.control_point_file import read_control_points
+from geoorbit_ros.calibration.camera_info import read_calibration
 from geoorbit_ros.calibration.datum import Datum
-from geoorbit_ros.calibration.homography import fit_homography
+from geoorbit_ros.calibration.homography import Homography, fit_homography, plane_of_images
 from geoorbit_ros.conversions import decode_string, decode_table, encode_jpeg
 from geoorbit_ros.core.cdr import stamp_of
 from geoorbit_ros.core.errors import GeoOrbitError
@@ -36,6 +38,7 @@ class OverlayParameters:
     """See params/overlay.yaml."""
 
     calibration_file: str
+    camera_info_file: str
     jpeg_quality: int
     waiting_images: int
     reliability: str
@@ -60,6 +63,7 @@ class OverlayNode(GeoOrbitNode[OverlayParameters]):
         p = self.p
         self._datum: Datum | None = None
         self._overlay = ImageOverlay(None)
+        self._plane: Homography | None = None
         if p.calibration_file:
             self._calibrate(None)
         self._qos = stream_qos(p.reliability, p.queue_depth)
@@ -76,9 +80,18 @@ class OverlayNode(GeoOrbitNode[OverlayParameters]):
 
     def _calibrate(self, datum: Datum | None) -> None:
         """Read the control points; those in metres need the lanes' datum."""
-        points = read_control_points(self.p.calibration_file, datum)
+        points = read_calibration(self.p.calibration_file, self.p.camera_info_file, datum)
         self._datum = points.datum
-        self._overlay = ImageOverlay(fit_homography(points))
+        self._plane = fit_homography(points)
+        self._overlay = ImageOverlay(self._plane)
+
+    def _in_size_of(self, image: NDArray[np.uint8]) -> None:
+        """Take the plane for images of this size, where the control points are of another."""
+        if self._plane is not None:
+            size = (image.shape[1], image.shape[0])
+            plane = plane_of_images(self._plane, size)
+            if plane is not self._plane:
+                self._plane, self._overlay = plane, ImageOverlay(plane)
 
     def _look(self) -> None:
         """Subscribe when the first viewer comes, unsubscribe when the last one goes."""
@@ -119,6 +132,7 @@ class OverlayNode(GeoOrbitNode[OverlayParameters]):
                 return
             place = self.resolve_topic_name("image/compressed")
             _, frame_id, image = decode_compressed_image(image_cdr, place)
+            self._in_size_of(image)
             caption = self._caption(len(tracks))
             drawn = self._overlay.draw(image, tracks, None, self._lanes, caption)
             shown = encode_jpeg(stamp_ns, frame_id, drawn, self.p.jpeg_quality)

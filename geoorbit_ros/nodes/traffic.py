@@ -26,10 +26,12 @@ from geoorbit_ros.storage.database.traffic import TrafficDatabase
 from geoorbit_ros.storage.ownership import Ownership
 from geoorbit_ros.traffic.class_schemes import named_scheme
 from geoorbit_ros.traffic.counter import Counted
+from geoorbit_ros.traffic.event_records import count_begun
 from geoorbit_ros.traffic.follower import STEP_BATCHES, TrafficFollower
 from geoorbit_ros.traffic.interval_clock import NS, IntervalClock, checked_zone
-from geoorbit_ros.traffic.live import Finished, LiveTraffic, MapShelf
-from geoorbit_ros.traffic.messages import intervals_json, point_table
+from geoorbit_ros.traffic.lane_maps import MapShelf
+from geoorbit_ros.traffic.live import Finished, LiveTraffic
+from geoorbit_ros.traffic.messages import events_json, intervals_json, point_table
 
 STEP_PERIOD_S = 0.5
 """Between two looks into the database, in wall time, which changes no result. Chosen: as often as
@@ -48,6 +50,7 @@ class TrafficParameters:
     timezone: str
     class_scheme: str
     calibration_file: str
+    camera_info_file: str
     retention_days: float
     frame_id: str
     reliability: str
@@ -56,10 +59,10 @@ class TrafficParameters:
 
 
 class TrafficNode(GeoOrbitNode[TrafficParameters]):
-    """Publishes `traffic/{intervals,vehicles,crossings}` and `traffic/intervals_json`.
+    """Publishes `traffic/{intervals,vehicles,crossings,events}` and two texts for people.
 
-    With a database it counts the tracks that the recorder stores there, and stores intervals and
-    vehicles beside them: after a restart it goes on with the first interval that is not stored.
+    With a database it counts the tracks that the recorder stores there, and stores intervals,
+    vehicles and events beside them: after a restart it goes on with the first that is not stored.
     Without one it counts the topics `tracks` and `lanes/geojson`.
     """
 
@@ -75,13 +78,15 @@ class TrafficNode(GeoOrbitNode[TrafficParameters]):
             p.interval_s, checked_zone(p.timezone, f"{place} 'timezone'")
         )
         self._scheme = named_scheme(p.class_scheme, f"{place} 'class_scheme'")
-        self.intervals = self.vehicles = 0
+        self.intervals = self.vehicles = self.events = 0
         self._follower: TrafficFollower | None = None
         self._tables = {
             topic: self.create_publisher(PointCloud2, f"traffic/{topic}", LATCHED_ALL)
-            for topic in ("intervals", "vehicles", "crossings")
+            for topic in ("intervals", "vehicles", "crossings", "events")
         }
         self._json: Publisher = self.create_publisher(String, "traffic/intervals_json", LATCHED)
+        self._now: Publisher = self.create_publisher(String, "traffic/events_json", LATCHED)
+        self._told_now = ""
         if p.database:
             if not self._camera:
                 found = "nothing, in the root namespace"
@@ -96,6 +101,9 @@ class TrafficNode(GeoOrbitNode[TrafficParameters]):
             self._owner.close()
             self._database.close()
 
+    def _reads_lanes(self, place: str) -> LaneReader:
+        return LaneReader(self.p.calibration_file, place, self.p.camera_info_file)
+
     def diagnostic_values(self) -> Mapping[str, object]:
         """How far it is."""
         live = self._live if self._follower is None else self._follower.live
@@ -103,6 +111,8 @@ class TrafficNode(GeoOrbitNode[TrafficParameters]):
         return {
             "intervals": self.intervals,
             "vehicles": self.vehicles,
+            "events": self.events,
+            "events_now": len(live.watch.lasting) if live and live.watch else 0,
             "lanes": len(used.lanes) if used else "not received yet",
             "map_stamp_s": used.map_ns / NS if used else "",
             "newest_s": live.newest_ns / NS if live and live.newest_ns else "",
@@ -113,12 +123,12 @@ class TrafficNode(GeoOrbitNode[TrafficParameters]):
         self._shelf = MapShelf()
         self._restart()
         self._geojson_topic = self.resolve_topic_name("lanes/geojson")
-        self._reader = LaneReader(self.p.calibration_file, self._geojson_topic)
+        self._reader = self._reads_lanes(self._geojson_topic)
         TableStream(self, "tracks", TRACK_DTYPE, self.p, self._on_frame, self._restart)
         self.create_subscription(String, "lanes/geojson", self._on_lanes, LATCHED_ALL, raw=True)
 
     def _follow(self, path: Path) -> None:
-        reader = LaneReader(self.p.calibration_file, f"{path}, lane map of {self._camera}")
+        reader = self._reads_lanes(f"{path}, lane map of {self._camera}")
         self._database = TrafficDatabase(path)
         lock = path.with_name(f".{path.name}.{self._camera.replace('/', '.')}.traffic.lock")
         try:
@@ -155,6 +165,7 @@ class TrafficNode(GeoOrbitNode[TrafficParameters]):
     def _publish_new(self) -> None:
         finished = self._live.finished()
         self._publish(self._live.gone(), finished)
+        self._publish_events(self._live, self._live.events())
 
     def _step(self) -> None:
         """Count what is stored; while more may wait, at every turn of the executor."""
@@ -164,6 +175,8 @@ class TrafficNode(GeoOrbitNode[TrafficParameters]):
             self._publish(told.counted, told.finished)
             self.diagnostics.received += told.batches
             live = self._follower.live
+            if live is not None:
+                self._publish_events(live, told.events)
             if self.p.retention_days > 0.0 and live is not None and live.newest_ns:
                 before_ns = live.newest_ns - round(self.p.retention_days * DAY_NS)
                 self._database.prune_traffic(before_ns)
@@ -189,6 +202,20 @@ class TrafficNode(GeoOrbitNode[TrafficParameters]):
         if finished:
             text = intervals_json(finished[-1], self._scheme, self._interval_clock, self._camera)
             self._json.publish(encode_string(text))
+
+    def _publish_events(self, live: LiveTraffic, rows: NDArray[np.void]) -> None:
+        """What was told of events, and all that last now, where that has changed."""
+        if len(rows):
+            stamp_ns = int(rows["stamp_ns"][-1])
+            table = encode_table(stamp_ns, self.p.frame_id, point_table(rows))
+            self._tables["events"].publish(table)
+            self.events += count_begun(rows)
+        if live.watch is None:
+            return
+        text = events_json(live.watch.lasting, self._interval_clock, self._camera)
+        if text != self._told_now:
+            self._now.publish(encode_string(text))
+            self._told_now = text
 
 
 def main(args: Sequence[str] | None = None) -> int:

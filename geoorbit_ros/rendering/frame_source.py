@@ -12,7 +12,7 @@ from urllib.parse import parse_qsl
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.rendering.conditions import LIGHTS, Conditions
 from geoorbit_ros.rendering.rendered_scene import RenderedScene, check_settings, render_scene
-from geoorbit_ros.scenes.scene import Scene, load_scene
+from geoorbit_ros.scenes.scene import Scene, load_scene, with_camera
 from geoorbit_ros.scenes.simulate import START_NS
 from geoorbit_ros.storage.frames.open_source import SourceMaker
 from geoorbit_ros.storage.frames.source import FrameSource, SourceOptions, StampedImage
@@ -23,6 +23,10 @@ DEFAULTS: Mapping[str, str] = MappingProxyType(
         "duration": "60",
         "fps": "",
         "size": "",
+        "k1": "",
+        "k2": "",
+        "fov": "",
+        "lens_known": "",
         **{f.name: str(f.default) for f in fields(Conditions)},
     }
 )
@@ -48,7 +52,8 @@ def read_scene_spec(spec: str) -> SceneSpec:
 
     Args:
         spec: `scene:NAME` or `scene:FILE.yaml`, then `?` and settings joined by `&`: `seed`,
-            `duration` in seconds, `fps`, `size` as `1280x720`, and those of `Conditions`.
+            `duration` in seconds, `fps`, `size` as `1280x720`, the lens' `k1` and `k2`, `fov` in
+            degrees, `lens_known` and those of `Conditions`.
 
     Raises:
         GeoOrbitError: No such scene, or a setting that can't be used.
@@ -63,7 +68,7 @@ def read_scene_spec(spec: str) -> SceneSpec:
             raise ParameterError(f"source {spec}", f"'{key}'", f"one of {', '.join(DEFAULTS)}")
         given.text[key] = value
     found = SceneSpec(
-        load_scene(name),
+        given.with_lens(load_scene(name)),
         given.positive("duration"),
         int(given.number("seed", whole=True)),
         Conditions(
@@ -151,6 +156,16 @@ class _Settings:
         if text not in values:
             raise self._refused(key, f"one of {', '.join(values)}")
         return values[text]
+
+    def with_lens(self, scene: Scene) -> Scene:
+        """The scene with another lens or zoom, where the address says so."""
+        names = {"k1": "k1", "k2": "k2", "fov": "horizontal_fov_deg"}
+        asked: dict[str, float | bool] = {
+            field: self.number(key) for key, field in names.items() if self.text[key]
+        }
+        if self.text["lens_known"]:
+            asked["lens_known"] = self.choice("lens_known", _BOOLEANS)
+        return with_camera(scene, asked, f"source {self.spec}") if asked else scene
 
     def size(self) -> tuple[int, int] | None:
         text = self.text["size"]

@@ -8,18 +8,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.calibration.control_point_writer import write_control_points
 from geoorbit_ros.core.errors import NoTrafficError
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE, Frames
 from geoorbit_ros.lanes.geojson import write_lanes
 from geoorbit_ros.rendering.rendered_scene import RenderedScene
-from geoorbit_ros.scenes.output import (
-    CALIBRATION,
-    TRACKS,
-    TRUTH,
-    calibration_text,
-    check_new_folder,
-)
+from geoorbit_ros.scenes.output import CALIBRATION, TRACKS, TRUTH, check_new_folder
 from geoorbit_ros.storage.atomic import atomic_output
 from geoorbit_ros.storage.frames.video_writer import VideoWriter, new_video
 from geoorbit_ros.storage.mot_text import write_mot
@@ -93,10 +88,7 @@ def write_rendered_scene(
             )
         write_track_csv(folder / TRACKS, frames)
         write_mot(folder / MOT, ((k + 1, frames.frame(k)) for k in range(len(frames))))
-        points = rendered.control_points
-        geodetic = rendered.datum.to_geodetic(points.local_m)
-        text = calibration_text(points.pixel, geodetic)
-        (folder / CALIBRATION).write_text(text, encoding="utf-8")
+        write_control_points(folder / CALIBRATION, rendered.control_points)
         lane_map = LaneMap(stamps[-1], rendered.truth)
         write_lanes(folder / TRUTH, lane_map, rendered.datum, camera_id=name, estimator="truth")
     there = Path(out_dir)

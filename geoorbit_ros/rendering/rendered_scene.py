@@ -95,7 +95,7 @@ class RenderedScene(Iterator[RenderedFrame]):
         self.camera: PinholeCamera = scene_camera(scene, placed)
         self.datum = Datum(scene.place.latitude_deg, scene.place.longitude_deg)
         self.control_points: ControlPoints = survey_control_points(
-            placed, self.camera, self.datum, seed
+            placed, self.camera, self.datum, seed, lens_known=scene.camera.lens_known
         )
         self.fps = scene.camera.fps
         self.frame_count = int(duration_s * self.fps)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from geoorbit_ros.rendering.background import make_background
 from geoorbit_ros.rendering.conditions import Conditions, Illumination, illumination
 from geoorbit_ros.rendering.lamps import Lamps, LightPools
+from geoorbit_ros.rendering.lens_view import LensView
 from geoorbit_ros.rendering.occlusion import draw_order, visible_shares
 from geoorbit_ros.rendering.painter import Body, Painter, in_image, outlines_of
 from geoorbit_ros.rendering.road_surface import Roads, surface_of
@@ -154,6 +155,10 @@ class SceneRenderer:
         azimuth = float(np.random.default_rng([seed, 20]).uniform(0.0, 2.0 * np.pi))
         light = illumination(self.conditions, azimuth)
         wet = self.conditions.rain
+        size = camera.image_size
+        self._lens_view = None if camera.lens is None else LensView(camera)
+        if self._lens_view:
+            camera = self._lens_view.pinhole
         background = make_background(camera, surface_of(roads), light, self.conditions, seed)
         self._empty = np.rint(255.0 * background.lit).astype(np.uint8)
         self._painter = Painter(camera, light, seed)
@@ -163,8 +168,9 @@ class SceneRenderer:
         if light.headlights > 0.0:
             self._pools = LightPools(camera, background.albedo, light.headlights)
             self._lamps = Lamps(camera, light.headlights, wet)
-        self._rain = Rain(camera.image_size, self.conditions.light, seed) if wet else None
-        self._sensor = Sensor(camera.image_size, self.conditions, light.noise, seed)
+        self._rain = Rain(size, self.conditions.light, seed) if wet else None
+        self._sensor = Sensor(size, self.conditions, light.noise, seed)
+        self._pinhole = camera
 
     def render(self, vehicles: View, time_s: float) -> NDArray[np.uint8]:
         """The image (H, W, 3) blue, green, red at `time_s`."""
@@ -177,14 +183,16 @@ class SceneRenderer:
         """The image, and where the vehicles are in it."""
         bodies = self._painter.place(vehicles)
         order = self._sorted(vehicles, bodies)
-        outlines = outlines_of(bodies, self.camera.image_size)
+        outlines = outlines_of(bodies, self._pinhole.image_size)
+        if self._lens_view:
+            outlines = self._lens_view.outlines(outlines)
         visible = visible_shares(outlines, [k for k, _ in order], self.camera.image_size)
         boxes = outlines.boxes + np.tile(self._sensor.sway_px(time_s), 2)
         return self._image(order, time_s), TrueBoxes(boxes, visible)
 
     def _sorted(self, vehicles: View, bodies: list[Body | None]) -> list[tuple[int, Body]]:
         """Bodies that show in the image, be it by their shadow, the farthest first."""
-        size = self.camera.image_size
+        size = self._pinhole.image_size
         near = [k for k, body in enumerate(bodies) if body and in_image(body.box, size, _MARGIN)]
         some = View(*(getattr(vehicles, name)[near] for name in View.__slots__))
         ordered = (near[k] for k in draw_order(some, self.camera.centre_m))
@@ -201,6 +209,8 @@ class SceneRenderer:
             self._painter.paint(image, body)
             if self._lamps:  # now: a nearer vehicle hides the lamps too
                 self._lamps.draw(image, glares[k])
+        if self._lens_view:
+            image = self._lens_view.show(image)
         if self._rain:
             image = self._rain.fall(image, time_s)
         return self._sensor.expose(image, time_s)

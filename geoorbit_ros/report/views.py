@@ -94,11 +94,17 @@ def _horizon(
     a, b, c = homography.matrix[2]
     if abs(b) < 1e-12:
         return
-    u = np.array([0.0, size[0] / scale])
-    v = -(a * u + c) / b
-    if np.all((v > 0) & (v * scale < size[1])):
-        canvas.line(np.column_stack((u, v)) * scale, "horizon", "Horizon")
-        canvas.text(size[0] - 10, v[1] * scale - 6, "horizon", "label", "end")
+    lens = homography.lens
+    width = size[0] / scale
+    u = np.array([0.0, width]) if lens is None else np.linspace(-width, 2 * width, 301)
+    line = np.column_stack((u, -(a * u + c) / b))
+    if lens is not None:
+        line = lens.distort(line)
+        line = line[(line[:, 0] >= 0.0) & (line[:, 0] <= width)]  # NaN is not
+    line = line * scale
+    if len(line) and np.all((line[:, 1] > 0) & (line[:, 1] < size[1])):
+        canvas.line(line, "horizon", "Horizon")
+        canvas.text(size[0] - 10, line[-1, 1] - 6, "horizon", "label", "end")
 
 
 def map_view(

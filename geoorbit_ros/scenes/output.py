@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.calibration.control_points import GEODETIC_COLUMNS, PIXEL_COLUMNS
+from geoorbit_ros.calibration.control_point_writer import write_control_points
 from geoorbit_ros.core.errors import InputFileError, NoTrafficError
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.core.tables import FLAG_GROUND_POINT, PIXEL_TRACK_DTYPE, Frames, frames_from_rows
@@ -84,12 +84,9 @@ def write_scene_run(
         write_track_csv(folder / TRACKS, run.frames)
         write_track_csv(folder / CLEAN_TRACKS, clean)
         points = run.control_points
-        for file, pixel in (
-            (CALIBRATION, points.pixel),
-            (CLEAN_CALIBRATION, _ground_pixels(run, points.local_m)),
-        ):
-            text = calibration_text(pixel, run.datum.to_geodetic(points.local_m))
-            (folder / file).write_text(text, encoding="utf-8")
+        write_control_points(folder / CALIBRATION, points)
+        exact = replace(points, pixel=_ground_pixels(run, points.local_m))
+        write_control_points(folder / CLEAN_CALIBRATION, exact)
         lane_map = LaneMap(int(run.frames.stamp_ns[-1]), run.truth)
         write_lanes(folder / TRUTH, lane_map, run.datum, camera_id=name, estimator="truth")
         with tempfile.TemporaryDirectory(prefix="geoorbit_scene_") as scratch:
@@ -134,11 +131,3 @@ def _ground_pixels(run: SceneRun, ground_m: NDArray[np.float64]) -> NDArray[np.f
     """(N, 2) pixels of points (N, 2) on the road, NaN behind the camera."""
     pixel, _ = run.camera.project(np.column_stack([ground_m, np.zeros(len(ground_m))]))
     return pixel
-
-
-def calibration_text(pixel: NDArray[np.float64], geodetic: NDArray[np.float64]) -> str:
-    """The text of `calibration.csv`; nine decimals of a degree are 0.1 mm."""
-    lines = [",".join(PIXEL_COLUMNS + GEODETIC_COLUMNS)]
-    for (x, y), (latitude, longitude) in zip(pixel, geodetic, strict=True):
-        lines.append(f"{x:.6f},{y:.6f},{latitude:.9f},{longitude:.9f}")
-    return "\n".join([*lines, ""])

@@ -6,9 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import Field, model_validator
+import numpy as np
+from pydantic import Field, ValidationError, model_validator
 
+from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.core.resources import file_or_shipped, shipped_names
+from geoorbit_ros.scenes.camera import scene_lens
 from geoorbit_ros.scenes.road_plan import Positive, Road, RoadPoint
 from geoorbit_ros.storage.yaml_file import Key, StrictModel, WrongValue, read_yaml
 
@@ -122,9 +125,12 @@ class Camera(StrictModel):
         pole: Where it stands.
         height_m: Above the road.
         look_at: Point on the ground in the image's middle.
-        horizontal_fov_deg: Field of view.
+        horizontal_fov_deg: Field of view without distortion: it says the focal length.
         image_size: Width and height in pixels.
         fps: Frames per second.
+        k1: First radial coefficient of the lens (plumb_bob): negative for a barrel.
+        k2: Second one.
+        lens_known: Whether the control points' file says the lens.
     """
 
     pole: RoadPoint
@@ -133,6 +139,20 @@ class Camera(StrictModel):
     horizontal_fov_deg: float = Field(default=60.0, ge=5.0, le=120.0)
     image_size: tuple[Pixels, Pixels] = (1920, 1080)
     fps: float = Field(default=15.0, ge=1.0, le=60.0)
+    k1: float = Field(default=0.0, ge=-0.6, le=0.4)
+    k2: float = Field(default=0.0, ge=-0.2, le=0.5)
+    lens_known: bool = True
+
+    @model_validator(mode="after")
+    def _shown_by_the_lens(self) -> Camera:
+        if self.k1 or self.k2:
+            width, height = self.image_size
+            lens = scene_lens(self.horizontal_fov_deg, self.image_size, self.k1, self.k2)
+            corners = np.array([[x, y] for x in (0, width / 2, width) for y in (0, height)])
+            if not np.isfinite(lens.undistort(corners)).all():
+                expected = "a smaller field of view, or a larger k2: the image's corners fold over"
+                raise WrongValue(("k1",), f"{self.k1:g} with k2 = {self.k2:g}", expected)
+        return self
 
 
 class DetectorFaults(StrictModel):
@@ -195,6 +215,25 @@ right."""
 def with_measured_drivers(scene: Scene) -> Scene:
     """The scene with the habits of real drivers, which are not in the middle of their lanes."""
     return scene.model_copy(update={"traffic": scene.traffic.model_copy(update=MEASURED_DRIVERS)})
+
+
+def with_camera(scene: Scene, change: dict[str, float | bool], place: str) -> Scene:
+    """The scene with other values of its camera.
+
+    Raises:
+        ParameterError: A value that a camera can't have, or values that contradict each other.
+    """
+    values = scene.camera.model_dump() | change
+    try:
+        camera = Camera.model_validate(values)
+    except (ValidationError, WrongValue) as error:
+        named = ", ".join(f"{key}={value:g}" for key, value in change.items())
+        expected = "a lens and a field of view that a scene's camera can have"
+        found = error.errors() if isinstance(error, ValidationError) else []
+        if found and found[0]["loc"]:
+            expected = f"{found[0]['loc'][0]}: {found[0]['msg']}"
+        raise ParameterError(place, named, expected) from None
+    return scene.model_copy(update={"camera": camera})
 
 
 def shipped_scenes() -> list[str]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.calibration.camera_facts import NO_FACTS, CameraFacts
 from geoorbit_ros.calibration.control_points import ControlPoints
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.core.errors import ParameterError
@@ -140,7 +141,7 @@ def simulate(
         _frames(stamp_ns, clean, TRACK_DTYPE),
         counter.lanes(),
         datum,
-        survey_control_points(placed, camera, datum, seed),
+        survey_control_points(placed, camera, datum, seed, lens_known=scene.camera.lens_known),
         camera,
         _frames(stamp_ns, boxes, PIXEL_TRACK_DTYPE),
     )
@@ -163,7 +164,8 @@ def scene_camera(scene: Scene, placed: dict[str, PlacedRoad]) -> PinholeCamera:
     pole, target = scene.camera.pole, scene.camera.look_at
     centre = np.append(placed[pole.road].point(pole.along_m, pole.right_m), scene.camera.height_m)
     middle = np.append(placed[target.road].point(target.along_m, target.right_m), 0.0)
-    return look_at(centre, middle, scene.camera.horizontal_fov_deg, scene.camera.image_size)
+    seen = scene.camera
+    return look_at(centre, middle, seen.horizontal_fov_deg, seen.image_size, seen.k1, seen.k2)
 
 
 def _clean_rows(
@@ -190,9 +192,17 @@ def _frames(
 
 
 def survey_control_points(
-    placed: dict[str, PlacedRoad], camera: PinholeCamera, datum: Datum, seed: int
+    placed: dict[str, PlacedRoad],
+    camera: PinholeCamera,
+    datum: Datum,
+    seed: int,
+    *,
+    lens_known: bool = True,
 ) -> ControlPoints:
-    """Control points as a surveyor takes them: on the roads' borders, with small errors."""
+    """Control points as a surveyor takes them: on the roads' borders, with small errors.
+
+    The facts above them say the image's size and, if `lens_known`, the lens, where there is one.
+    """
     random = np.random.default_rng([seed, 5])
     lines = [p.offset(right) for p in placed.values() for right in (0.0, p.road.lanes * p.width_m)]
     ground = np.concatenate(lines)
@@ -205,7 +215,17 @@ def survey_control_points(
     chosen = _spread(pixel, CONTROL_POINTS)
     surveyed = ground[chosen] + SURVEY_SIGMA_M * random.standard_normal((len(chosen), 2))
     clicked = pixel[chosen] + CLICK_SIGMA_PX * random.standard_normal((len(chosen), 2))
-    return ControlPoints(clicked, surveyed, datum, np.arange(len(chosen)) + 2)
+    facts = NO_FACTS
+    if camera.lens is not None:
+        facts = CameraFacts(camera.image_size, camera.lens if lens_known else None)
+    return ControlPoints(
+        clicked,
+        surveyed,
+        datum,
+        np.arange(len(chosen)) + 2,
+        facts=facts,
+        image_size=camera.image_size,
+    )
 
 
 def _spread(points: NDArray[np.float64], count: int) -> NDArray[np.int64]:

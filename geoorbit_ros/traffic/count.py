@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import NoTrafficError
+from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.tables import Frames
 from geoorbit_ros.traffic.class_schemes import ClassScheme
 from geoorbit_ros.traffic.counter import Counted, TrafficCounter
-from geoorbit_ros.traffic.event_records import EVENT_DTYPE, EventState
+from geoorbit_ros.traffic.event_records import EVENT_DTYPE, EventState, newest_rows
 from geoorbit_ros.traffic.events import EventWatch
 from geoorbit_ros.traffic.interval_clock import IntervalClock, ObservedTime
-from geoorbit_ros.traffic.measures import Traffic, measure, measured_lanes
+from geoorbit_ros.traffic.lane_maps import MapChoice, MapInUse
+from geoorbit_ros.traffic.measures import Traffic, measure
 from geoorbit_ros.traffic.movements import count_movements, find_gates
-from geoorbit_ros.traffic.records import CROSSING_DTYPE, PASSAGE_DTYPE
+from geoorbit_ros.traffic.records import CROSSING_DTYPE, PASSAGE_DTYPE, PIECE_DTYPE, last_seen
+from geoorbit_ros.traffic.stations import MeasuredLanes, measured_lanes
 
 AT_ONCE = 1000
 """Intervals measured at once. Chosen: 10 MB of tables for ten lanes; more takes memory."""
@@ -39,11 +42,15 @@ class Recorded:
         frames: How many frames there were.
         vehicles: How many vehicles.
         in_no_lane: How many of them drove along no lane.
+        choice: Chooses the lane map of each interval; None: one map counts for all.
+        maps: Of which intervals on which map counts; empty where one counts for all.
     """
 
     counter: TrafficCounter
     observed: ObservedTime
     watch: EventWatch
+    choice: MapChoice | None = None
+    maps: list[MapInUse] = field(default_factory=list)
     first_ns: int = 0
     last_ns: int = 0
     frames: int = 0
@@ -57,6 +64,19 @@ class Recorded:
         """Take frames of `TRACK_DTYPE`, later than those before."""
         if not len(frames):
             return
+        if self.choice is None:
+            self._add(frames)
+            return
+        for part, chosen in self.choice.parts(frames):
+            if len(part):
+                self._add(part)
+            if chosen is not None:
+                self._keep(self.counter.take())  # who is gone was counted on the map before
+                self.counter.use_lanes(chosen.found.lanes)
+                self.watch.use_lanes(chosen.found.lanes)
+                self._use(chosen.from_ns, chosen.found.stamp_ns)
+
+    def _add(self, frames: Frames) -> None:
         if not self.frames:
             self.first_ns = int(frames.stamp_ns[0])
         self.last_ns = int(frames.stamp_ns[-1])
@@ -68,6 +88,10 @@ class Recorded:
         if self.last_ns - self._taken_ns >= TAKE_NS:  # each time sorts all that is in view
             self._taken_ns = self.last_ns
             self._keep(self.counter.take())
+
+    def _use(self, from_ns: int, map_ns: int) -> None:
+        order = measured_lanes(self.counter.lanes, self.counter.stations)
+        self.maps.append(MapInUse(from_ns, map_ns, self.counter.lanes, order))
 
     def finish(self) -> None:
         """Count the vehicles that are still in view."""
@@ -90,36 +114,69 @@ class Recorded:
         return np.concatenate([np.empty(0, CROSSING_DTYPE), *(c.crossings for c in self._counted)])
 
     @property
+    def pieces(self) -> NDArray[np.void]:
+        """(Q,) `PIECE_DTYPE` of all vehicles."""
+        return np.concatenate([np.empty(0, PIECE_DTYPE), *(c.pieces for c in self._counted)])
+
+    @property
     def events(self) -> NDArray[np.void]:
         """(E,) `EVENT_DTYPE`: the newest row of each event, by their beginning.
 
         What has not ended goes on until the last frame.
         """
         rows = np.concatenate([np.empty(0, EVENT_DTYPE), *self._events])
-        newest = {int(event): k for k, event in enumerate(rows["event_id"].tolist())}
-        rows = rows[sorted(newest.values())]
+        rows = newest_rows(rows)
         going_on = rows["state"] != EventState.ENDED
         rows["last_ns"][going_on] = self.last_ns
-        return np.asarray(rows[np.argsort(rows["first_ns"], kind="stable")])
+        return rows
 
     def traffic(self, scheme: ClassScheme) -> Traffic:
-        """What measures are made of."""
+        """What measures on the last map are made of; lanes that it has no more are left out."""
         lanes = measured_lanes(self.counter.lanes, self.counter.stations)
-        return Traffic(self.passages, self.crossings, self.observed, lanes, scheme)
+        tables = [self.passages, self.crossings, self.pieces]
+        if len(self.maps) > 1:
+            tables = [rows[np.isin(rows["lane_id"], lanes.lane_id)] for rows in tables]
+        passages, crossings, pieces = tables
+        return Traffic(passages, crossings, pieces, self.observed, lanes, scheme)
+
+    def parts(
+        self, edges: NDArray[np.int64]
+    ) -> Iterator[tuple[NDArray[np.int64], MeasuredLanes, Sequence[Lane]]]:
+        """Edges of intervals one after the other that are counted on one map, and its lanes."""
+        if not self.maps:
+            lanes = self.counter.lanes
+            yield edges, measured_lanes(lanes, self.counter.stations), lanes
+            return
+        starts = np.array([used.from_ns for used in self.maps[1:]], np.int64)
+        of_map = np.searchsorted(starts, edges[:-1], side="right")
+        for k in np.unique(of_map).tolist():
+            here = np.flatnonzero(of_map == k)
+            used = self.maps[k]
+            yield edges[here[0] : here[-1] + 2], used.order, used.lanes
 
 
-def record(counter: TrafficCounter, blocks: Iterable[Frames], max_gap_s: float) -> Recorded:
+def record(
+    counter: TrafficCounter,
+    blocks: Iterable[Frames],
+    max_gap_s: float,
+    choice: MapChoice | None = None,
+    first: MapInUse | None = None,
+) -> Recorded:
     """Count all vehicles of a recording.
 
     Args:
         counter: Counts on the lanes; it has seen no frame yet.
         blocks: Frames of `TRACK_DTYPE` in time order.
         max_gap_s: See `interval_clock.ObservedTime`.
+        choice: Chooses other lanes for later intervals; it has started.
+        first: The map that the counter has, where others may follow.
 
     Raises:
         NoTrafficError: There is no frame.
     """
-    recorded = Recorded(counter, ObservedTime(max_gap_s), EventWatch(counter.lanes))
+    recorded = Recorded(counter, ObservedTime(max_gap_s), EventWatch(counter.lanes), choice)
+    if first is not None:
+        recorded.maps.append(first)
     for frames in blocks:
         recorded.add(frames)
     recorded.finish()
@@ -136,12 +193,14 @@ def all_measures(
     So many intervals of which nothing was watched are left out: the clock was set, or there are two
     recordings.
     """
-    traffic = recorded.traffic(scheme)
+    tables, observed = (recorded.passages, recorded.crossings, recorded.pieces), recorded.observed
     edges = clock.edges(recorded.first_ns, recorded.last_ns)
-    for k in range(0, len(edges) - 1, AT_ONCE):
-        part = edges[k : k + AT_ONCE + 1]
-        if k == 0 or traffic.observed.seconds(part).any():
-            yield measure(traffic, part)
+    for of_map, lanes, _ in recorded.parts(edges):
+        traffic = Traffic(*tables, observed, lanes, scheme)
+        for k in range(0, len(of_map) - 1, AT_ONCE):
+            part = of_map[k : k + AT_ONCE + 1]
+            if part[0] == edges[0] or observed.seconds(part).any():
+                yield measure(traffic, part)
 
 
 def whole_measures(recorded: Recorded, scheme: ClassScheme) -> NDArray[np.void]:
@@ -156,5 +215,10 @@ def all_movements(
 ) -> NDArray[np.void]:
     """See `movements.count_movements`."""
     edges = clock.edges(recorded.first_ns, recorded.last_ns)
-    gates = find_gates(recorded.counter.lanes)
-    return count_movements(recorded.passages, gates, scheme, edges)
+    passages = recorded.passages
+    last_ns = last_seen(passages)
+    tables = []
+    for part, _, lanes in recorded.parts(edges):
+        gone = passages[(last_ns >= part[0]) & (last_ns < part[-1])]
+        tables.append(count_movements(gone, find_gates(lanes), scheme, part))
+    return np.concatenate(tables)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +15,10 @@ from geoorbit_ros.core.tables import MOTORCYCLE, Frames
 from geoorbit_ros.traffic.class_schemes import BICYCLE, MOVING_CLASSES
 from geoorbit_ros.traffic.lane_sequence import LaneMatcher, cut_at_oncoming
 from geoorbit_ros.traffic.motion_fit import VEHICLE_SCALE
-from geoorbit_ros.traffic.passages import classes, find_passages
-from geoorbit_ros.traffic.records import CROSSING_DTYPE, NO_LANE, PASSAGE_DTYPE
+from geoorbit_ros.traffic.passages import classes, find_passages, find_pieces, find_runs
+from geoorbit_ros.traffic.records import CROSSING_DTYPE, NO_LANE, PASSAGE_DTYPE, PIECE_DTYPE
 from geoorbit_ros.traffic.road_coordinates import RoadCoordinates
-from geoorbit_ros.traffic.stations import find_crossings, place_stations
+from geoorbit_ros.traffic.stations import StationPlace, find_crossings, place_stations
 from geoorbit_ros.traffic.vehicle_paths import PathCollector, Paths
 
 Array = NDArray[np.float64]
@@ -27,7 +28,12 @@ LENGTH_SHARE, GAP_S = 0.8, 0.1
 drive in 0.1 s are one with two ids. Chosen: lengths are known within a fifth, and no driver keeps
 a tenth of a second; more takes a queue's close followers for one."""
 NARROW_CLASSES = (BICYCLE, MOTORCYCLE)
-"""Riders share a lane side by side: none of them is another's second id."""
+"""Riders share a lane side by side."""
+RIDER_M = 2.0
+"""Length of a rider of whom none is known."""
+RIDER_APART_M = 0.8
+"""Riders side by side are farther apart, from middle to middle. Chosen: the width of handlebars;
+more takes two who ride together for one, less takes one with two ids for two."""
 CAR_LENGTH_M = 4.5
 """Length of a vehicle of which none is known. Chosen: a car's."""
 FORGET_NS = 20_000_000_000
@@ -45,14 +51,22 @@ class Counted:
     Attributes:
         passages: (P,) `PASSAGE_DTYPE`.
         crossings: (C,) `CROSSING_DTYPE`.
+        pieces: (Q,) `PIECE_DTYPE`.
         vehicles: How many vehicles these are, those in no lane included.
         in_no_lane: How many of them drove along no lane.
     """
 
     passages: NDArray[np.void]
     crossings: NDArray[np.void]
+    pieces: NDArray[np.void]
     vehicles: int
     in_no_lane: int
+
+
+def nobody() -> Counted:
+    """No vehicle."""
+    passages, crossings = np.empty(0, PASSAGE_DTYPE), np.empty(0, CROSSING_DTYPE)
+    return Counted(passages, crossings, np.empty(0, PIECE_DTYPE), 0, 0)
 
 
 class TrafficCounter:
@@ -64,13 +78,19 @@ class TrafficCounter:
     Args:
         lanes: The lanes, in the tracks' frame; at least one.
         plane: The calibration, for the error that is common to all speeds; None: it is exact.
+        place: Where the counting stations are; None: where traffic is seen best.
 
     Attributes:
         vehicles: Vehicles so far that are gone.
     """
 
-    def __init__(self, lanes: Sequence[Lane], plane: RoadPlane | None = None) -> None:
-        self._plane = plane
+    def __init__(
+        self,
+        lanes: Sequence[Lane],
+        plane: RoadPlane | None = None,
+        place: StationPlace | None = None,
+    ) -> None:
+        self._plane, self._place = plane, place
         self._paths = PathCollector()
         self._places = _OccupiedPlaces()
         self.vehicles = 0
@@ -82,7 +102,7 @@ class TrafficCounter:
         self.lanes = roads.lanes
         self._matcher = LaneMatcher(roads)
         self._lane_id = np.array([*(lane.lane_id for lane in lanes), NO_LANE], np.int64)
-        self.stations = place_stations(lanes)
+        self.stations = place_stations(lanes, self._place)
         self._scale_sigma = np.array([scale_sigma(lane, self._plane) for lane in lanes])
 
     def add(self, frames: Frames) -> None:
@@ -104,31 +124,37 @@ class TrafficCounter:
 
     def _count(self, paths: Paths) -> Counted:
         if not len(paths):
-            return Counted(np.empty(0, PASSAGE_DTYPE), np.empty(0, CROSSING_DTYPE), 0, 0)
+            return nobody()
         found = self._matcher.lanes_of(paths)
         paths = cut_at_oncoming(paths, found)
         moving = np.isin(classes(paths), MOVING_CLASSES)
-        passages, crossings = (
-            find_passages(paths, found),
+        runs = find_runs(paths, found)
+        tables = (
+            find_passages(paths, found, runs),
             find_crossings(paths, found, self.stations),
+            find_pieces(paths, found, runs),
         )
-        passages = self._named(passages[moving[passages["vehicle_id"]]])
-        crossings = self._named(crossings[moving[crossings["vehicle_id"]]])
+        passages, crossings, pieces = (
+            self._named(table[moving[table["vehicle_id"]]]) for table in tables
+        )
         first_ns, last_ns = self._paths.observed_ns
         inside = (crossings["stamp_ns"] >= first_ns) & (crossings["stamp_ns"] <= last_ns)
         crossings = crossings[inside]
         twice = self._places.seen_before(crossings)
         crossings = crossings[~np.isin(crossings["vehicle_id"], twice)]
         passages = passages[~np.isin(passages["vehicle_id"], twice)]
+        pieces = pieces[~np.isin(pieces["vehicle_id"], twice)]
         self.vehicles += len(paths)
         seen = int(np.count_nonzero(moving)) - len(twice)
         missing = seen - len(np.unique(passages["vehicle_id"]))
-        return Counted(passages, crossings, seen, missing)
+        return Counted(passages, crossings, pieces, seen, missing)
 
     def _named(self, table: NDArray[np.void]) -> NDArray[np.void]:
         """Give vehicles and lanes their ids, and speeds the errors that places don't show."""
-        scale = np.hypot(self._scale_sigma[table["lane_id"]], VEHICLE_SCALE)
-        table["speed_sigma_mps"] = np.hypot(table["speed_sigma_mps"], scale * table["speed_mps"])
+        if "speed_sigma_mps" in (table.dtype.names or ()):
+            scale = np.hypot(self._scale_sigma[table["lane_id"]], VEHICLE_SCALE)
+            sigma = np.hypot(table["speed_sigma_mps"], scale * table["speed_mps"])
+            table["speed_sigma_mps"] = sigma
         if "speed_scale_sigma" in (table.dtype.names or ()):
             table["speed_scale_sigma"] = self._scale_sigma[table["lane_id"]]
         table["vehicle_id"] += self.vehicles + 1
@@ -141,7 +167,7 @@ class _OccupiedPlaces:
     """Where and when vehicles crossed the stations of late: no other can have been there."""
 
     def __init__(self) -> None:
-        self._crossed: dict[int, list[tuple[int, float, float]]] = {}
+        self._crossed: dict[tuple[int, bool], list[_Place]] = {}
 
     def seen_before(self, crossings: NDArray[np.void]) -> NDArray[np.int64]:
         """Ids of vehicles that are a second track of one that was counted already.
@@ -151,29 +177,42 @@ class _OccupiedPlaces:
         """
         twice = list[int]()
         for row in crossings:
-            if int(row["class_id"]) in NARROW_CLASSES:
-                continue
-            lane = self._crossed.setdefault(int(row["lane_id"]), [])
-            at_ns, speed = int(row["stamp_ns"]), float(row["speed_mps"])
-            length_m = float(row["length_m"])
-            lane[:] = [other for other in lane if other[0] > at_ns - KEPT_NS]
-            near = [other for other in lane if abs(other[0] - at_ns) < FORGET_NS]
-            if any(_overlap(at_ns, speed, length_m, *other) for other in near):
+            rides = int(row["class_id"]) in NARROW_CLASSES
+            lane = self._crossed.setdefault((int(row["lane_id"]), rides), [])
+            length_m, usual_m = float(row["length_m"]), RIDER_M if rides else CAR_LENGTH_M
+            here = _Place(
+                int(row["stamp_ns"]),
+                float(row["speed_mps"]),
+                length_m if np.isfinite(length_m) else usual_m,
+                float(row["offset_m"]),
+            )
+            lane[:] = [other for other in lane if other.stamp_ns > here.stamp_ns - KEPT_NS]
+            near = [other for other in lane if abs(other.stamp_ns - here.stamp_ns) < FORGET_NS]
+            if rides:
+                near = [other for other in near if abs(other.left_m - here.left_m) < RIDER_APART_M]
+            if any(_overlap(here, other) for other in near):
                 twice.append(int(row["vehicle_id"]))
             else:
-                lane.append((at_ns, speed, length_m))
+                lane.append(here)
         return np.unique(np.array(twice, np.int64))
 
 
-def _overlap(
-    at_ns: int, speed: float, length_m: float, other_ns: int, other_speed: float, other_m: float
-) -> bool:
+class _Place(NamedTuple):
+    """Where a vehicle was as it crossed a line."""
+
+    stamp_ns: int
+    speed_mps: float
+    length_m: float
+    left_m: float
+
+
+def _overlap(one: _Place, other: _Place) -> bool:
     """Whether two vehicles at one line would be in one place."""
     # The faster of the two speeds: who starts at a signal crosses the line slowly, and is gone by
     # the time that the next one comes.
-    distance_m = (abs(at_ns - other_ns) * 1e-9 - GAP_S) * max(speed, other_speed)
-    lengths = [m if np.isfinite(m) else CAR_LENGTH_M for m in (length_m, other_m)]
-    return distance_m < LENGTH_SHARE * sum(lengths) / 2
+    apart_s = abs(one.stamp_ns - other.stamp_ns) * 1e-9 - GAP_S
+    distance_m = apart_s * max(one.speed_mps, other.speed_mps)
+    return distance_m < LENGTH_SHARE * (one.length_m + other.length_m) / 2
 
 
 def scale_sigma(lane: Lane, plane: RoadPlane | None) -> float:

@@ -70,10 +70,13 @@ class EventLog:
 
     Attributes:
         events: How many events have begun so far.
+        rows: How many rows there were so far.
     """
 
     events: int = 0
+    rows: int = 0
     _rows: list[NDArray[np.void]] = field(default_factory=list)
+    _lasting: dict[int, NDArray[np.void]] = field(default_factory=dict)
 
     def begin(self, kind: EventKind, stamp_ns: int, **what: float) -> NDArray[np.void]:
         """A new event; returns its row, (1,), for `change` and `end`.
@@ -105,6 +108,26 @@ class EventLog:
         self._rows.clear()
         return rows
 
+    @property
+    def lasting(self) -> NDArray[np.void]:
+        """(E,) the newest row of each event that has not ended, by number."""
+        return np.concatenate([np.empty(0, EVENT_DTYPE), *self._lasting.values()])
+
+    def go_on(self, rows: NDArray[np.void], count: int, stamp_ns: int) -> None:
+        """Go on with the numbers of an earlier log whose watch is lost.
+
+        What had not ended by then is told to have ended: nobody knows whether it goes on.
+
+        Args:
+            rows: `EVENT_DTYPE` that it told; the newest row of each event is enough.
+            count: How many rows it told.
+            stamp_ns: The last time that it knew of.
+        """
+        self.rows, self.events = count, int(rows["event_id"].max(initial=0))
+        for row in newest_rows(rows):
+            if row["state"] != EventState.ENDED:
+                self.end(np.array([row], EVENT_DTYPE), stamp_ns)
+
     def _write(
         self, row: NDArray[np.void], state: EventState, stamp_ns: int, what: dict[str, float]
     ) -> None:
@@ -112,3 +135,24 @@ class EventLog:
         for name, value in what.items():
             row[name] = value
         self._rows.append(row.copy())
+        self.rows += 1
+        if state is EventState.ENDED:
+            self._lasting.pop(int(row["event_id"][0]), None)
+        else:
+            self._lasting[int(row["event_id"][0])] = self._rows[-1]
+
+
+def count_begun(rows: NDArray[np.void]) -> int:
+    """How many events begin in rows of `EVENT_DTYPE`."""
+    return int(np.count_nonzero(rows["state"] == EventState.BEGAN))
+
+
+def newest_rows(rows: NDArray[np.void]) -> NDArray[np.void]:
+    """The newest row of each event, by their beginning.
+
+    Args:
+        rows: `EVENT_DTYPE`, in the order in which they were told.
+    """
+    newest = {int(event): k for k, event in enumerate(rows["event_id"].tolist())}
+    rows = rows[sorted(newest.values())]
+    return np.asarray(rows[np.argsort(rows["first_ns"], kind="stable")])

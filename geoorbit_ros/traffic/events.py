@@ -26,14 +26,15 @@ class EventWatch:
 
     Args:
         lanes: The lanes of the map, in the tracks' frame; at least one.
+        log: Goes on with the numbers of an earlier watch; default: from 1.
     """
 
-    def __init__(self, lanes: Sequence[Lane]) -> None:
-        self._log = EventLog()
+    def __init__(self, lanes: Sequence[Lane], log: EventLog | None = None) -> None:
+        self._log = log or EventLog()
         self._moments = MomentCollector(lanes)
         self._tracks = WatchedTracks()
         self._flow = LaneFlow(self._log)
-        self._standing = StandingWatch(self._log, self._flow.usual_mps)
+        self._standing = StandingWatch(self._log, self._flow)
         self._queues = QueueWatch(self._log)
         self._wrong_way = WrongWayWatch(self._log)
         self.use_lanes(lanes)
@@ -67,3 +68,13 @@ class EventWatch:
     def take(self) -> NDArray[np.void]:
         """(E,) `EVENT_DTYPE`: what began, changed or ended since the last call."""
         return self._log.take()
+
+    @property
+    def rows(self) -> int:
+        """How many rows there were so far."""
+        return self._log.rows
+
+    @property
+    def lasting(self) -> NDArray[np.void]:
+        """(E,) `EVENT_DTYPE`: the newest row of each event that has not ended."""
+        return self._log.lasting

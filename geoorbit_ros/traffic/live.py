@@ -6,72 +6,42 @@ an interval are, bit for bit, those that `count.record` gives on the same lanes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.calibration.plane import RoadPlane
-from geoorbit_ros.core.lanes import Lane
-from geoorbit_ros.core.polylines import project
 from geoorbit_ros.core.tables import Frames
 from geoorbit_ros.traffic.class_schemes import ClassScheme
 from geoorbit_ros.traffic.count import AT_ONCE
 from geoorbit_ros.traffic.counter import Counted, TrafficCounter
+from geoorbit_ros.traffic.event_records import EVENT_DTYPE, EventLog
+from geoorbit_ros.traffic.events import EventWatch
 from geoorbit_ros.traffic.interval_clock import GAP_S, NS, IntervalClock, ObservedTime
-from geoorbit_ros.traffic.measures import (
-    LONGEST_HEADWAY_S,
-    MeasuredLanes,
-    Traffic,
-    measure,
-    measured_lanes,
+from geoorbit_ros.traffic.lane_maps import (
+    MAP_DELAY_NS,
+    Chosen,
+    LanesAt,
+    MapChoice,
+    MapInUse,
+    StampedLanes,
 )
-from geoorbit_ros.traffic.records import CROSSING_DTYPE, PASSAGE_DTYPE
-from geoorbit_ros.traffic.stations import REACH_S
+from geoorbit_ros.traffic.measures import LONGEST_HEADWAY_S, Traffic, measure
+from geoorbit_ros.traffic.movements import count_movements, find_gates
+from geoorbit_ros.traffic.records import CROSSING_DTYPE, PASSAGE_DTYPE, PIECE_DTYPE, last_seen
+from geoorbit_ros.traffic.stations import REACH_S, measured_lanes
 
-MAP_DELAY_NS = 10_000_000_000
-"""How much later than an interval's beginning its lane map is chosen. Chosen: vehicles that were
-last seen before that moment are then gone (`track_links.ENDED_NS`), and maps have arrived."""
 LOOK_NS = 5_000_000_000
 """Vehicles that are gone are looked for this often. Chosen: it takes milliseconds and changes no
 result; longer tells vehicles later."""
 HOLD_NS = 600_000_000_000
 """Frames of this long wait for the first lane map. Chosen: lanes are found within minutes; longer
 takes memory."""
-KEPT_MAPS = 100
-"""Maps of a topic that are kept. Chosen: eight minutes of updates every five seconds; the one that
-is chosen is at most seconds old."""
-SAME_M = 0.3
-"""Lanes that moved less are the same. Chosen: a tenth of a lane; less changes the map in use with
-every update, more leaves vehicles beside a lane that was found better."""
-SAME_END_M = 5.0
-"""Lanes whose ends moved less are the same. Chosen: a car's length."""
 LEAD_NS = 3_600_000_000_000
 """A counter that is started again reads this much before the interval that it goes on with: half an
 hour for headways (`LONGEST_HEADWAY_S`), and half an hour in which a path ends that began before
 (`track_links.LONGEST_NS`)."""
-
-
-@dataclass(frozen=True, slots=True)
-class StampedLanes:
-    """The lanes of a map.
-
-    Attributes:
-        stamp_ns: When the map was made, on the clock of the tracks.
-        lanes: At least one, in the tracks' frame.
-        plane: The calibration in that frame, see `TrafficCounter`.
-    """
-
-    stamp_ns: int
-    lanes: Sequence[Lane]
-    plane: RoadPlane | None = None
-
-    @property
-    def counts(self) -> bool:
-        """Whether a lane is confirmed: before, nothing is counted."""
-        return any(lane.status == "confirmed" for lane in self.lanes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,43 +60,19 @@ class Resume:
     passages: NDArray[np.void] = field(default_factory=lambda: np.empty(0, PASSAGE_DTYPE))
 
 
-LanesAt = Callable[[int], StampedLanes | None]
-"""The newest lanes that are not later than a stamp, or the first ones; None: there are none yet."""
-
-
-class MapShelf:
-    """Lane maps as they come on a topic; those with a confirmed lane count."""
-
-    def __init__(self) -> None:
-        self._maps = list[StampedLanes]()
-
-    def put(self, found: StampedLanes) -> None:
-        """Take a map; those that are later are of a source that has started again since."""
-        if found.counts:
-            earlier = [other for other in self._maps if other.stamp_ns < found.stamp_ns]
-            self._maps = [*earlier[-KEPT_MAPS:], found]
-
-    def lanes_at(self, stamp_ns: int) -> StampedLanes | None:
-        """See `LanesAt`."""
-        earlier = [found for found in self._maps if found.stamp_ns <= stamp_ns]
-        return earlier[-1] if earlier else self._maps[0] if self._maps else None
-
-
 @dataclass(frozen=True, slots=True)
-class MapInUse:
-    """Which lane map counts from an interval on.
+class Watched:
+    """How far a counter that was stopped had told events.
 
     Attributes:
-        from_ns: Begin of the first interval; the first map counts for all earlier ones, too.
-        map_ns: The map's stamp.
-        lanes: Its lanes.
-        order: The same in the order of tables.
+        stamp_ns: The last frame that was looked at.
+        watch: What looked; None: it is lost, and a new one goes on with the numbers of `log`.
+        log: What it had told.
     """
 
-    from_ns: int
-    map_ns: int
-    lanes: tuple[Lane, ...]
-    order: MeasuredLanes
+    stamp_ns: int
+    watch: EventWatch | None
+    log: EventLog
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,12 +83,14 @@ class Finished:
         edges_ns: (K + 1,) stamps between which they lie.
         measures: (M,) `measures.MEASURE_DTYPE`.
         passages: (P,) `records.PASSAGE_DTYPE` of the vehicles that were last seen in them.
+        movements: (M,) `movements.MOVEMENT_DTYPE` of these.
         lanes: The map that they were counted on.
     """
 
     edges_ns: NDArray[np.int64]
     measures: NDArray[np.void]
     passages: NDArray[np.void]
+    movements: NDArray[np.void]
     lanes: MapInUse
 
 
@@ -163,8 +111,10 @@ class LiveTraffic:
         lanes_at: Gives lane maps.
         resume: Where a counter that was stopped goes on.
         max_gap_s: See `ObservedTime`.
+        watched: Where its events go on.
 
     Attributes:
+        watch: What looks for events; None before the first map.
         newest_ns: Stamp of the newest frame; None before the first.
         vehicles: How many were counted.
     """
@@ -176,16 +126,20 @@ class LiveTraffic:
         lanes_at: LanesAt,
         resume: Resume | None = None,
         max_gap_s: float = GAP_S,
+        watched: Watched | None = None,
     ) -> None:
         self.scheme, self.clock = scheme, clock
-        self._lanes_at, self._resume = lanes_at, resume
+        self._choice, self._resume = MapChoice(clock, lanes_at), resume
         self._observed = ObservedTime(max_gap_s)
         self._counter: TrafficCounter | None = None
         self._maps: list[MapInUse] = []
         self._passages = np.empty(0, PASSAGE_DTYPE)
         self._crossings = np.empty(0, CROSSING_DTYPE)
+        self._pieces = np.empty(0, PIECE_DTYPE)
         self._gone, self._held = list[Counted](), list[Frames]()
-        self._begin_ns = self._switch_ns = self._looked_ns = 0
+        self._begin_ns = self._looked_ns = 0
+        self._watched = watched or Watched(np.iinfo(np.int64).min, None, EventLog())
+        self.watch = self._watched.watch
         self.newest_ns: int | None = None
         self.vehicles = 0
 
@@ -209,15 +163,11 @@ class LiveTraffic:
             self._held = [part for part in self._held if part.stamp_ns[-1] >= held_ns]
             self.start()
             return
-        while True:
-            # What is before the moment of choice is counted on the map in use.
-            k = int(np.searchsorted(frames.stamp_ns, self._switch_ns, side="right"))
-            if k:
-                self._feed(frames.part(0, k))
-            if k == len(frames):
-                break
-            self._choose_map(int(frames.stamp_ns[k]))
-            frames = frames.part(k, len(frames))
+        for part, chosen in self._choice.parts(frames):
+            if len(part):
+                self._feed(part)
+            if chosen is not None:
+                self._change_map(chosen)
 
     def start(self) -> None:
         """Count the frames that wait, if there is a map by now."""
@@ -232,9 +182,14 @@ class LiveTraffic:
         return Counted(
             np.concatenate([np.empty(0, PASSAGE_DTYPE), *(part.passages for part in parts)]),
             np.concatenate([np.empty(0, CROSSING_DTYPE), *(part.crossings for part in parts)]),
+            np.concatenate([np.empty(0, PIECE_DTYPE), *(part.pieces for part in parts)]),
             sum(part.vehicles for part in parts),
             sum(part.in_no_lane for part in parts),
         )
+
+    def events(self) -> NDArray[np.void]:
+        """(E,) `event_records.EVENT_DTYPE`: what began, changed or ended since the last call."""
+        return np.empty(0, EVENT_DTYPE) if self.watch is None else self.watch.take()
 
     def finished(self) -> list[Finished]:
         """Intervals that were finished since the last call."""
@@ -258,7 +213,7 @@ class LiveTraffic:
         begin_ns = self.clock.start_of(first_ns)
         if self._resume is not None:
             begin_ns = min(begin_ns, self._resume.from_ns)
-        found = self._lanes_at(begin_ns)
+        found = self._choice.start(begin_ns)
         if found is None:
             return False
         self._counter = TrafficCounter(found.lanes, found.plane)
@@ -266,7 +221,6 @@ class LiveTraffic:
             self._counter.vehicles = self._resume.vehicles
         self._use(found, begin_ns)
         self._begin_ns, self._looked_ns = begin_ns, first_ns
-        self._switch_ns = self.clock.end_of(begin_ns) + MAP_DELAY_NS
         return True
 
     def _use(self, found: StampedLanes, from_ns: int) -> None:
@@ -279,20 +233,21 @@ class LiveTraffic:
         self.newest_ns = int(frames.stamp_ns[-1])
         self._observed.add(frames.stamp_ns)
         self._counter.add(frames)
+        k = int(np.searchsorted(frames.stamp_ns, self._watched.stamp_ns, side="right"))
+        if k < len(frames):
+            if self.watch is None:
+                self.watch = EventWatch(self._maps[-1].lanes, self._watched.log)
+            self.watch.add(frames.part(k, len(frames)))
 
-    def _choose_map(self, next_ns: int) -> None:
-        """Choose the map of the interval that began `MAP_DELAY_NS` before the next frame."""
+    def _change_map(self, chosen: Chosen) -> None:
+        """Count on another map from now on."""
         assert self._counter is not None
-        self._look()
-        begin_ns = self.clock.start_of(next_ns - MAP_DELAY_NS - 1)
-        self._switch_ns = self.clock.end_of(begin_ns) + MAP_DELAY_NS
-        found, used = self._lanes_at(begin_ns), self._maps[-1]
-        if found is None or found.stamp_ns > begin_ns or found.stamp_ns == used.map_ns:
-            return
-        if same_lanes(found.lanes, used.lanes):
-            return
-        self._counter.use_lanes(found.lanes)
-        self._use(found, begin_ns)
+        self._look()  # who is gone was counted on the map before
+        lanes = chosen.found.lanes
+        self._counter.use_lanes(lanes)
+        if self.watch is not None and chosen.next_ns > self._watched.stamp_ns:
+            self.watch.use_lanes(lanes)
+        self._use(chosen.found, chosen.from_ns)
 
     def _look(self) -> None:
         """Take vehicles that are gone."""
@@ -302,6 +257,7 @@ class LiveTraffic:
         if counted.vehicles:
             self._passages = np.concatenate((self._passages, counted.passages))
             self._crossings = np.concatenate((self._crossings, counted.crossings))
+            self._pieces = np.concatenate((self._pieces, counted.pieces))
             if self._resume is not None:
                 self._number_as(self._resume.passages, counted.passages)
                 counted = _since(counted, self._resume.from_ns)
@@ -317,7 +273,7 @@ class LiveTraffic:
         ]
         if found and found[-1]:
             self._counter.vehicles += found[-1]
-            for table in (self._passages, self._crossings):
+            for table in (self._passages, self._crossings, self._pieces):
                 table["vehicle_id"] += found[-1]
 
     def _measured(self, edges: NDArray[np.int64]) -> list[Finished]:
@@ -338,17 +294,19 @@ class LiveTraffic:
         found = list[Finished]()
         for a, b in pieces:
             used, part = self._maps[int(of_map[a])], edges[a : b + 1]
-            traffic = Traffic(
-                self._passages, self._crossings, self._observed, used.order, self.scheme
-            )
+            tables = self._passages, self._crossings, self._pieces
+            traffic = Traffic(*tables, self._observed, used.order, self.scheme)
             here = (last_ns >= part[0]) & (last_ns < part[-1])
-            found.append(Finished(part, measure(traffic, part), self._passages[here], used))
+            gone = self._passages[here]
+            moved = count_movements(gone, find_gates(used.lanes), self.scheme, part)
+            found.append(Finished(part, measure(traffic, part), gone, moved, used))
         return found
 
     def _forget(self) -> None:
         """Forget what no later interval needs."""
         begin_ns = self._begin_ns
         self._passages = self._passages[last_seen(self._passages) >= begin_ns]
+        self._pieces = self._pieces[self._pieces["last_ns"] >= begin_ns]
         crossings = self._crossings
         kept = crossings["stamp_ns"] >= begin_ns - round(LONGEST_HEADWAY_S * NS)
         kept |= np.isin(crossings["vehicle_id"], self._passages["vehicle_id"])
@@ -358,14 +316,6 @@ class LiveTraffic:
         self._observed.spans_ns = [span for span in spans if span[1] >= needed_ns] or spans[-1:]
         while len(self._maps) > 1 and self._maps[1].from_ns <= begin_ns:
             del self._maps[0]
-
-
-def last_seen(passages: NDArray[np.void]) -> NDArray[np.int64]:
-    """(P,) when the vehicle of each passage was last seen in a lane."""
-    _, vehicle = np.unique(passages["vehicle_id"], return_inverse=True)
-    last = np.full(int(vehicle.max(initial=-1)) + 1, np.iinfo(np.int64).min)
-    np.maximum.at(last, vehicle, passages["last_ns"])
-    return np.asarray(last[vehicle])
 
 
 def _name(passage: np.void) -> tuple[int, int, int]:
@@ -379,21 +329,5 @@ def _since(counted: Counted, resume_ns: int) -> Counted:
     passages = counted.passages[kept]
     gone = np.unique(counted.passages["vehicle_id"][~kept])
     crossings = counted.crossings[~np.isin(counted.crossings["vehicle_id"], gone)]
-    return Counted(passages, crossings, counted.vehicles - len(gone), counted.in_no_lane)
-
-
-def same_lanes(lanes: Sequence[Lane], others: Sequence[Lane]) -> bool:
-    """Whether two maps have the same lanes: the same ids, nowhere moved by `SAME_M` or more."""
-    by_id = {lane.lane_id: lane for lane in others}
-    if len(lanes) != len(by_id) or any(lane.lane_id not in by_id for lane in lanes):
-        return False
-    return all(_same_lane(lane, by_id[lane.lane_id]) for lane in lanes)
-
-
-def _same_lane(lane: Lane, other: Lane) -> bool:
-    line, old = lane.centerline_m, other.centerline_m
-    ends = np.hypot(*(line[[0, -1]] - old[[0, -1]]).T)
-    if (ends >= SAME_END_M).any():
-        return False
-    at = project(line, old)
-    return bool((np.abs(at.offset_m[at.inside]) < SAME_M).all() and at.inside.any())
+    pieces = counted.pieces[~np.isin(counted.pieces["vehicle_id"], gone)]
+    return Counted(passages, crossings, pieces, counted.vehicles - len(gone), counted.in_no_lane)

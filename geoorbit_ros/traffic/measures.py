@@ -6,18 +6,15 @@ Edie 1963, "Discussion of traffic stream measurements and definitions". docs/tra
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.core.lane_order import lane_numbers
-from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.traffic.class_schemes import ClassScheme
 from geoorbit_ros.traffic.interval_clock import NS, ObservedTime
 from geoorbit_ros.traffic.records import NO_LANE
-from geoorbit_ros.traffic.stations import Station
+from geoorbit_ros.traffic.stations import MeasuredLanes
 
 Array = NDArray[np.float64]
 
@@ -77,43 +74,13 @@ the count of an interval that was not watched."""
 
 
 @dataclass(frozen=True, slots=True)
-class MeasuredLanes:
-    """The lanes in the order of the tables.
-
-    Attributes:
-        lane_id: (L,) ids.
-        number: (L,) numbers from the outer edge of the road.
-        length_m: (L,) lengths.
-        station: (L,) id of the station that crosses each.
-    """
-
-    lane_id: NDArray[np.int64]
-    number: NDArray[np.int64]
-    length_m: Array
-    station: NDArray[np.int64]
-
-
-def measured_lanes(lanes: Sequence[Lane], stations: Sequence[Station]) -> MeasuredLanes:
-    """Lanes ordered by station and number."""
-    numbers = lane_numbers(lanes)
-    rows = sorted(
-        (station.station_id, numbers[lanes[k].lane_id], lanes[k].lane_id, lanes[k].length_m)
-        for station in stations
-        for k in station.lanes
-    )
-    station_id, number, lane_id, length = zip(*rows, strict=True)
-    return MeasuredLanes(
-        np.array(lane_id), np.array(number), np.array(length), np.array(station_id)
-    )
-
-
-@dataclass(frozen=True, slots=True)
 class Traffic:
     """What all measures are made of.
 
     Attributes:
         passages: (P,) `records.PASSAGE_DTYPE`.
         crossings: (C,) `records.CROSSING_DTYPE`.
+        pieces: (Q,) `records.PIECE_DTYPE`.
         observed: When the camera watched.
         lanes: The lanes.
         scheme: Classes.
@@ -121,6 +88,7 @@ class Traffic:
 
     passages: NDArray[np.void]
     crossings: NDArray[np.void]
+    pieces: NDArray[np.void]
     observed: ObservedTime
     lanes: MeasuredLanes
     scheme: ClassScheme
@@ -255,16 +223,44 @@ class _Groups:
             single = np.sqrt(self.sums(self.crossing, noise)) / count
             common = self.sums(self.crossing, scale) / count
             out["time_mean_speed_sigma_kmh"] = 3.6 * np.hypot(single, common)
-            # Vehicles of unknown length count like the others.
-            has_length = np.isfinite(rows["length_m"])
-            over_s = np.where(has_length, rows["length_m"], 0.0) / np.maximum(speed, 0.1)
-            known = self.sums(self.crossing, has_length.astype(np.float64))
-            over = self.sums(self.crossing, over_s) * count / known
-            over = np.where(count > 0.0, over, 0.0)
-            out["occupancy_percent"] = 100.0 * over / self.watched_s[:, None, None]
-            lanes = self._lanes_of_row()
-            out["occupancy_percent"] /= lanes[None, :, None]
         out["speed_p85_kmh"] = 3.6 * self._quantile(speed, 0.85)
+        out["occupancy_percent"] = self._occupancy(count)
+
+    def _occupancy(self, count: Array) -> Array:
+        """Share of the time in which a vehicle is on the line, in percent."""
+        rows = self.traffic.crossings
+        category = self.traffic.scheme.category_of(rows["class_id"], rows["length_m"])
+        has_length = np.isfinite(rows["length_m"])
+        known = self.sums(self.crossing, has_length.astype(np.float64))
+        of, begin, over_s = self._spread(rows["front_ns"], rows["rear_ns"])
+        index = self._index(begin, rows["lane_id"][of], category[of])
+        over = self.sums(index, np.where(has_length[of], over_s, 0.0))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            # Vehicles of unknown length count like the others.
+            over = over * np.where(count > 0.0, count / known, 1.0)
+            share = 100.0 * over / self.watched_s[:, None, None]
+            return np.minimum(share / self._lanes_of_row()[None, :, None], 100.0)
+
+    def _spread(
+        self, first_ns: NDArray[np.int64], last_ns: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+        """Times of N vehicles in the intervals that they touch.
+
+        A row per vehicle and interval; in each interval in the order of the vehicles, so that sums
+        have the same bits however many intervals are measured at once.
+
+        Returns:
+            (M,) number of the vehicle, (M,) begin of its time in the interval, (M,) seconds.
+        """
+        first = np.searchsorted(self.edges, first_ns, side="right") - 1
+        last = np.searchsorted(self.edges, last_ns, side="right") - 1
+        first, last = np.maximum(first, 0), np.minimum(last, len(self.edges) - 2)
+        times = np.maximum(last - first + 1, 0)
+        of = np.repeat(np.arange(len(first_ns)), times)
+        interval = first[of] + np.arange(len(of)) - np.repeat(np.cumsum(times) - times, times)
+        begin = np.maximum(first_ns[of], self.edges[interval])
+        end = np.minimum(last_ns[of], self.edges[interval + 1])
+        return of, begin, np.maximum(end - begin, 0) / NS
 
     def _lanes_of_row(self) -> NDArray[np.int64]:
         """(R,) how many lanes each row stands for."""
@@ -308,29 +304,18 @@ class _Groups:
 
     def uses(self, out: NDArray[np.void]) -> None:
         """Density and space mean speed by the time and distance driven, and lane changes."""
-        rows = self.traffic.passages
+        rows = self.traffic.pieces
         category = self.traffic.scheme.category_of(rows["class_id"], rows["length_m"])
-        spent, driven = np.zeros(self.shape), np.zeros(self.shape)
-        duration = np.maximum((rows["last_ns"] - rows["first_ns"]) / NS, 1e-3)
-        pace = (rows["last_arc_m"] - rows["first_arc_m"]) / duration
-        # A row per passage and interval; in each interval in the order of the passages, so that
-        # sums have the same bits however many intervals are measured at once.
-        first = np.searchsorted(self.edges, rows["first_ns"], side="right") - 1
-        last = np.searchsorted(self.edges, rows["last_ns"], side="right") - 1
-        first, last = np.maximum(first, 0), np.minimum(last, len(self.edges) - 2)
-        times = np.maximum(last - first + 1, 0)
-        of = np.repeat(np.arange(len(rows)), times)
-        interval = first[of] + np.arange(len(of)) - np.repeat(np.cumsum(times) - times, times)
-        begin = np.maximum(rows["first_ns"][of], self.edges[interval])
-        end = np.minimum(rows["last_ns"][of], self.edges[interval + 1])
-        time_s = np.maximum(end - begin, 0) / NS
+        pace = rows["way_m"] / ((rows["last_ns"] - rows["first_ns"]) / NS)
+        of, begin, time_s = self._spread(rows["first_ns"], rows["last_ns"])
         index = self._index(begin, rows["lane_id"][of], category[of])
-        spent += self.sums(index, time_s)
-        driven += self.sums(index, time_s * pace[of])
+        spent, driven = self.sums(index, time_s), self.sums(index, time_s * pace[of])
         length_km = self._length_m()[None, :, None] / 1000.0
         with np.errstate(divide="ignore", invalid="ignore"):
             out["density_veh_per_km"] = spent / length_km / self.watched_s[:, None, None]
             out["space_mean_speed_kmh"] = 3.6 * driven / spent
+        rows = self.traffic.passages
+        category = self.traffic.scheme.category_of(rows["class_id"], rows["length_m"])
         for name, at, other in (
             ("lane_changes_in", "first_ns", "from_lane"),
             ("lane_changes_out", "last_ns", "to_lane"),

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.traffic.class_schemes import ClassScheme
+from geoorbit_ros.traffic.event_records import EVENT_DTYPE
 from geoorbit_ros.traffic.interval_clock import NS, IntervalClock
 from geoorbit_ros.traffic.live import Finished
 from geoorbit_ros.traffic.measures import MEASURE_DTYPE
-from geoorbit_ros.traffic.tables import interval_table
+from geoorbit_ros.traffic.tables import event_table, interval_table
 
 MICRO_NS = 1_000
 """Times in seconds are exact to this: a float64 has no more digits for the years after 1970."""
@@ -64,5 +65,24 @@ def intervals_json(
     return json.dumps(content)
 
 
+def events_json(lasting: NDArray[np.void], clock: IntervalClock, camera_id: str) -> str:
+    """Events that last now as a text for people; what is not known is left out.
+
+    Args:
+        lasting: `event_records.EVENT_DTYPE`, the newest row of each.
+        clock: Whose local time.
+        camera_id: The camera's name.
+    """
+    rows = list[dict[str, Any]]()
+    for event, row in zip(event_table(lasting).to_pylist(), lasting, strict=True):
+        since = {"since": clock.text(int(row["first_ns"]))}
+        left_out = ("ended", "time_first_s", "time_last_s")
+        known = {k: v for k, v in event.items() if v is not None and k not in left_out}
+        rows.append(known | since)
+    return json.dumps({"camera_id": camera_id, "events": rows})
+
+
+EVENT_POINT_DTYPE = point_type(EVENT_DTYPE)
+"""Rows of the topic `traffic/events`."""
 INTERVAL_POINT_DTYPE = point_type(MEASURE_DTYPE)
 """Rows of the topic `traffic/intervals`."""

@@ -1,4 +1,4 @@
-"""Measures and passages as they are stored: whole numbers with the digits that tables show.
+"""Measures, passages, movements as they are stored: whole numbers with the digits that tables show.
 
 Unpacked, they give the same bytes in `tables` as what was packed, in a third of the space.
 """
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.traffic.measures import MEASURE_DTYPE
+from geoorbit_ros.traffic.movements import MOVEMENT_DTYPE
 from geoorbit_ros.traffic.records import PASSAGE_DTYPE
 from geoorbit_ros.traffic.tables import DECIMALS
 
@@ -23,6 +24,11 @@ PACKED_MEASURE_DTYPE = np.dtype(
     [(name, "<i8" if name.endswith("_ns") else "<i4") for name in MEASURE_DTYPE.names or ()]
 )
 """As `MEASURE_DTYPE`; numbers with a fraction are times 10 to the power of their digits."""
+
+PACKED_MOVEMENT_DTYPE = np.dtype(
+    [(name, "<i8" if name.endswith("_ns") else "<i4") for name in MOVEMENT_DTYPE.names or ()]
+)
+"""As `movements.MOVEMENT_DTYPE`, in fewer bytes."""
 
 PACKED_PASSAGE_DTYPE = np.dtype(
     [

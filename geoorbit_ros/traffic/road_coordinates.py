@@ -55,6 +55,10 @@ class RoadCoordinates:
         self.length_m = np.array([lane.length_m for lane in lanes])
         self._lanes = [_SampledLane(lane) for lane in lanes]
 
+    def __reduce__(self) -> tuple[type[RoadCoordinates], tuple[tuple[Lane, ...]]]:
+        """Copies and stored states (`watch_state`) have the lanes alone."""
+        return RoadCoordinates, (self.lanes,)
+
     def __len__(self) -> int:
         return len(self.lanes)
 

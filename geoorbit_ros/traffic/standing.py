@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.traffic.event_records import EventKind, EventLog
+from geoorbit_ros.traffic.lane_flow import LaneFlow
 from geoorbit_ros.traffic.lane_neighbours import same_way
 from geoorbit_ros.traffic.moments import MOVES_MPS, Moment
 from geoorbit_ros.traffic.watched_tracks import (
@@ -115,11 +116,11 @@ class StandingWatch:
 
     Args:
         log: Takes the events.
-        usual_mps: Usual speed in a lane, by its index; NaN if unknown.
+        flow: Knows the usual speed in each lane.
     """
 
-    def __init__(self, log: EventLog, usual_mps: Callable[[int], float]) -> None:
-        self._log, self._usual_mps = log, usual_mps
+    def __init__(self, log: EventLog, flow: LaneFlow) -> None:
+        self._log, self._flow = log, flow
         self._stands: list[Stand] = []
         self._waits: dict[int, list[tuple[float, int]]] = {}
 
@@ -257,7 +258,7 @@ class StandingWatch:
         # A jam that dissolves leaves its vehicles one after the other.
         jam = jam or stand.last_ns - stand.crowd_ns < WAIT_NS
         free_ahead = self._length[stand.lane] - stand.arc >= AHEAD_M
-        fast = self._usual_mps(stand.lane) >= FAST_MPS
+        fast = self._flow.usual_mps(stand.lane) >= FAST_MPS
         needed: float = WAIT_NS if fast else RED_NS
         if jam or behind:
             if not free_ahead:

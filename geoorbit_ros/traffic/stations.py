@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.core.lane_order import SAME_COS
+from geoorbit_ros.core.lane_order import SAME_COS, lane_numbers
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.polylines import project, sample
 from geoorbit_ros.traffic.lane_sequence import LaneSequence
@@ -40,6 +40,13 @@ CLEAR_M = 2.0
 Chosen: half a car's length, more than the noise of places."""
 SLOWEST_MPS = 0.5
 """A place moves on slower than this by noise alone. Chosen: 2 km/h."""
+STEADY_MPS, NEAR_ROWS = 5.0, round(1e9 / BIN_NS)
+"""Who is faster in the second before the line and in that after it covers it for the length over
+the speed. Slower vehicles may have stopped on it. Chosen: from 18 km/h none stands within a second;
+more takes time to look, less misses who stops short."""
+FAR_M = 40.0
+"""A chosen place is not this far beside a road's lanes. Chosen: one place serves both carriageways
+of a motorway."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,26 +68,56 @@ class Station:
     heading_rad: float
 
 
-def place_stations(lanes: Sequence[Lane]) -> tuple[Station, ...]:
+@dataclass(frozen=True, slots=True)
+class StationPlace:
+    """Where somebody wants the counting stations to be.
+
+    Attributes:
+        point_m: (2,) the place beside it, map frame; None: `along_m` says it.
+        along_m: Metres along the longest lane of each direction.
+    """
+
+    point_m: Array | None = None
+    along_m: float = 0.0
+
+    def on(self, lane: Lane) -> float | None:
+        """Metres along a lane; None: it isn't beside it."""
+        if self.point_m is None:
+            return self.along_m if 0.0 <= self.along_m <= lane.length_m else None
+        at = project(self.point_m[None], lane.centerline_m)
+        beside = bool(at.inside[0]) and abs(float(at.offset_m[0])) < FAR_M
+        return float(at.arc_m[0]) if beside else None
+
+
+def place_stations(lanes: Sequence[Lane], place: StationPlace | None = None) -> tuple[Station, ...]:
     """As few lines as cross every lane once, each in the middle of what its lanes have in common.
 
     Lanes begin and end where traffic is seen badly; in the middle it is seen best.
+
+    Args:
+        lanes: The lanes.
+        place: Lines are there where lanes pass it; the other lanes are crossed as without.
     """
     left, stations = list(range(len(lanes))), list[Station]()
     while left:
         base = max(left, key=lambda k: (lanes[k].length_m, -k))
         points = sample(lanes[base].centerline_m, 1.0)
-        arc = (np.arange(len(points.point_m)) + 0.5) * points.piece_m
+        point_m = points.point_m.copy()
+        arc = (np.arange(len(point_m)) + 0.5) * points.piece_m
+        wanted = place.on(lanes[base]) if place else None
+        if wanted is not None:
+            chosen_row = int(np.abs(arc - wanted).argmin())
+            arc[chosen_row], point_m[chosen_row] = wanted, _point(lanes[base], wanted)
         crossed = np.zeros((len(left), len(arc)), np.bool_)
         at = np.zeros((len(left), len(arc)))
         for row, k in enumerate(left):
-            found = project(points.point_m, lanes[k].centerline_m)
+            found = project(point_m, lanes[k].centerline_m)
             along = (points.tangent * found.tangent).sum(axis=1)
             near = np.abs(found.offset_m) < BESIDE_M
             crossed[row], at[row] = found.inside & near & (along > SAME_COS), found.arc_m
         crossed[left.index(base)] = True
         at[left.index(base)] = arc
-        middle = _middle_of_most(crossed.sum(axis=0))
+        middle = _middle_of_most(crossed.sum(axis=0)) if wanted is None else chosen_row
         chosen = [row for row in range(len(left)) if crossed[row, middle]]
         stations.append(
             Station(
@@ -93,6 +130,37 @@ def place_stations(lanes: Sequence[Lane]) -> tuple[Station, ...]:
         )
         left = [k for row, k in enumerate(left) if row not in chosen]
     return tuple(stations)
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredLanes:
+    """The lanes in the order of the tables.
+
+    Attributes:
+        lane_id: (L,) ids.
+        number: (L,) numbers from the outer edge of the road.
+        length_m: (L,) lengths.
+        station: (L,) id of the station that crosses each.
+    """
+
+    lane_id: NDArray[np.int64]
+    number: NDArray[np.int64]
+    length_m: Array
+    station: NDArray[np.int64]
+
+
+def measured_lanes(lanes: Sequence[Lane], stations: Sequence[Station]) -> MeasuredLanes:
+    """Lanes ordered by station and number."""
+    numbers = lane_numbers(lanes)
+    rows = sorted(
+        (station.station_id, numbers[lanes[k].lane_id], lanes[k].lane_id, lanes[k].length_m)
+        for station in stations
+        for k in station.lanes
+    )
+    station_id, number, lane_id, length = zip(*rows, strict=True)
+    return MeasuredLanes(
+        np.array(lane_id), np.array(number), np.array(length), np.array(station_id)
+    )
 
 
 def _middle_of_most(count: NDArray[np.int64]) -> int:
@@ -157,7 +225,49 @@ def _crossings_of(paths: Paths, found: LaneSequence, station: Station) -> NDArra
     begin_ns = paths.rows["stamp_ns"][paths.offset[vehicle]]
     out["stamp_ns"] = begin_ns + np.round(when * 1e9).astype(np.int64)
     out["speed_mps"], out["speed_sigma_mps"] = speed, fit.noise_mps[crossed]
+    out["offset_m"] = found.places.offset_m[rows, lane][at]
+    first_s, last_s = _on_line(owner, time_s, beyond, at, when, out)
+    out["front_ns"] = begin_ns + np.round(first_s * 1e9).astype(np.int64)
+    out["rear_ns"] = begin_ns + np.round(last_s * 1e9).astype(np.int64)
     return out
+
+
+def _on_line(
+    owner: NDArray[np.int64],
+    time_s: Array,
+    beyond: Array,
+    at: NDArray[np.int64],
+    when: Array,
+    crossings: NDArray[np.void],
+) -> tuple[Array, Array]:
+    """When each vehicle's front came to the line, and when its rear left it.
+
+    Args:
+        owner: (N,) vehicle of each row.
+        time_s: (N,) time of each row.
+        beyond: (N,) how far behind the line it was.
+        at: (C,) the row behind the line of each crossing.
+        when: (C,) time of each crossing.
+        crossings: (C,) `CROSSING_DTYPE`, with speeds and lengths.
+    """
+    half = np.nan_to_num(crossings["length_m"] / 2.0)
+    half_s = half / np.maximum(crossings["speed_mps"], STEADY_MPS)
+    first, last = when - half_s, when + half_s
+    slow = np.zeros(len(at), np.bool_)
+    for step in (-NEAR_ROWS, NEAR_ROWS):
+        other = np.clip(at + step, 0, max(len(owner) - 1, 0))
+        way, spent_s = np.abs(beyond[other] - beyond[at]), np.abs(time_s[other] - time_s[at])
+        slow |= (owner[other] == owner[at]) & (way < STEADY_MPS * spent_s)
+    for k in np.flatnonzero(slow & (half > 0.0)).tolist():
+        row = int(at[k])
+        begin, end = np.searchsorted(owner, (owner[row], owner[row] + 1)).tolist()
+        step_s = np.diff(time_s[begin:end], append=time_s[end - 1])
+        # A sum, as the noise of a vehicle that stands beside the line puts some places on it.
+        over_s = np.where(np.abs(beyond[begin:end]) <= half[k], step_s, 0.0)
+        first[k] = min(first[k], when[k] - over_s[: row - begin].sum())
+        last[k] = max(last[k], when[k] + over_s[row - begin :].sum())
+    # Nobody is on the line before anybody saw it: live, earlier intervals are finished by then.
+    return np.maximum(first, np.minimum(when, 0.0)), last
 
 
 def _nearest_rows(owner: NDArray[np.int64], beyond: Array) -> NDArray[np.int64]:

@@ -173,7 +173,8 @@ class TwinCamera:
         matrix = pose.projection / np.linalg.norm(pose.projection[2, :3])
         matrix = np.diag([self.scale, self.scale, 1.0]) @ matrix
         size = (round(self.scale * image_size[0]), round(self.scale * image_size[1]))
-        camera = PinholeCamera(matrix, pose.position_m, self.scale * pose.focal_px, size)
+        lens = None if pose.lens is None or pose.lens.straight else pose.lens.scaled(size)
+        camera = PinholeCamera(matrix, pose.position_m, self.scale * pose.focal_px, size, lens)
         polygon = view_polygon(homography, image_size, FAR_SIGMA_M)
         self._renderer = SceneRenderer(
             camera, reference_lanes(load_network(network, datum), polygon)

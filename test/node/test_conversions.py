@@ -18,6 +18,7 @@ from std_msgs.msg import String
 from visualization_msgs.msg import Marker
 
 from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.calibration.lens import Lens
 from geoorbit_ros.conversions import (
     datum_from_fix,
     datum_to_fix,
@@ -136,12 +137,24 @@ def test_a_road_plane_goes_there_and_back() -> None:
     assert np.array_equal(back.matrix, plane.matrix)
     assert np.array_equal(back.spread, plane.spread)
     assert size == (1280, 720)
+    assert back.lens is None
+
+
+def test_a_road_plane_takes_its_lens_and_common_errors_along() -> None:
+    lens = Lens(900.0, 905.0, 640.0, 360.0, (1280, 720), -0.2, 0.03, focal_known=False)
+    plane = road_plane()
+    spread = np.concatenate((plane.spread, plane.spread[:2]))
+    plane = replace(plane, lens=lens, spread=spread, k1_spread=np.linspace(0.0, 0.01, 10))
+    back, _ = plane_of(plane_message(plane, (1280, 720)), "/north/road_plane")
+    assert back.lens == lens
+    pixel = np.array([[400.0, 600.0], [900.0, 500.0]])
+    assert np.array_equal(back.fit_shifts(pixel), plane.fit_shifts(pixel))
 
 
 @pytest.mark.parametrize(
     ("change", "found"),
     [
-        (lambda data: data[:-1], "82 numbers"),
+        (lambda data: data[:-1], "100 numbers"),
         (lambda data: data[:0], "0 numbers"),
         (lambda data: [*data[:5], float("nan"), *data[6:]], "some not finite"),
         (lambda data: [0.0, *data[1:]], "an image of 0x720"),

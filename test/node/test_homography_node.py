@@ -8,12 +8,13 @@ import pytest
 from geometry_msgs.msg import PoseArray
 from made_up_camera import MadeUpCamera
 from probe import KEEP_ALL, LIMIT_S, LOSSLESS, Probe
-from sensor_msgs.msg import NavSatFix, PointCloud2
-from std_msgs.msg import String
+from sensor_msgs.msg import CameraInfo, NavSatFix, PointCloud2
+from std_msgs.msg import Float64MultiArray, String
 
 from geoorbit_ros.calibration.box_projector import BoxProjector
 from geoorbit_ros.calibration.control_point_file import read_control_points
 from geoorbit_ros.calibration.homography import fit_homography
+from geoorbit_ros.conversions import plane_of
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.core.tables import (
     DETECTION_DTYPE,
@@ -23,6 +24,7 @@ from geoorbit_ros.core.tables import (
 )
 from geoorbit_ros.nodes.homography import HomographyNode
 from geoorbit_ros.nodes.support.composition import Composition
+from geoorbit_ros.nodes.support.qos import LATCHED_ALL
 from geoorbit_ros.storage.pointcloud2 import encode_table
 
 FRAMES = 60
@@ -187,3 +189,30 @@ def test_a_bad_start_is_one_sentence(
         start(nodes, camera, **overrides)
     assert "\n" not in str(caught.value)
     assert all(word in str(caught.value) for word in words)
+
+
+def test_the_lens_of_the_topic_is_taken_once_and_another_one_told(
+    nodes: Composition, camera: MadeUpCamera
+) -> None:
+    node, probe = start(nodes, camera), Probe(nodes)
+    planes = probe.listen("road_plane", Float64MultiArray, LATCHED_ALL)
+    send = probe.node.create_publisher(CameraInfo, "/north/camera_info", 10)
+    probe.until(lambda: len(planes) == 1, "the plane")
+    assert plane_of(planes[0], "here")[0].lens is None
+    probe.until(lambda: send.get_subscription_count() == 1, "the node to see the probe")
+    width, height = camera.image_size
+    info = CameraInfo(width=width, height=height, distortion_model="plumb_bob")
+    send.publish(info)  # of a camera that isn't calibrated
+    info.k = [1500.0, 0.0, width / 2, 0.0, 1500.0, height / 2, 0.0, 0.0, 1.0]
+    info.d = [-0.02, 0.0, 0.0, 0.0, 0.0]
+    for _ in range(3):
+        send.publish(info)
+    probe.until(lambda: len(planes) == 2, "the plane behind the lens")
+    lens = plane_of(planes[-1], "here")[0].lens
+    assert lens is not None
+    assert (lens.k1, lens.cx) == (-0.02, width / 2 + 0.5)
+    info.d = [-0.2, 0.0, 0.0, 0.0, 0.0]
+    send.publish(info)
+    said = "another lens"
+    probe.until(lambda: said in str(node.diagnostic_values()["remarks"]), "a remark")
+    assert len(planes) == 2

@@ -7,7 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_traffic_days import CLOCK, LANES, SUMMER_ENDS_NS, day, offline
+from made_traffic_days import (
+    CLOCK,
+    LANES,
+    STOPPED_LANE,
+    SUMMER_ENDS_NS,
+    day,
+    offline,
+    with_events,
+)
 from probe import LIMIT_S, LOSSLESS, Probe
 from std_msgs.msg import String
 
@@ -21,9 +29,12 @@ from geoorbit_ros.nodes.support.composition import Composition
 from geoorbit_ros.nodes.support.qos import LATCHED
 from geoorbit_ros.nodes.traffic import TrafficNode
 from geoorbit_ros.storage.database.traffic import TrafficDatabase, TrafficReader
-from geoorbit_ros.traffic.messages import INTERVAL_POINT_DTYPE, point_table
+from geoorbit_ros.traffic.events import EventWatch
+from geoorbit_ros.traffic.messages import EVENT_POINT_DTYPE, INTERVAL_POINT_DTYPE, point_table
 
-TEXT = dumps_lanes(LaneMap(SUMMER_ENDS_NS, tuple(LANES)), Datum(50.0, 8.0), camera_id="north")
+DATUM = Datum(50.0, 8.0)
+TEXT = dumps_lanes(LaneMap(SUMMER_ENDS_NS, tuple(LANES)), DATUM, camera_id="north")
+ROAD = dumps_lanes(LaneMap(SUMMER_ENDS_NS, (*LANES, STOPPED_LANE)), DATUM, camera_id="north")
 AS_READ = parse_lane_file(TEXT, "text").lane_map.lanes
 GIVEN = LOSSLESS | {"interval_s": CLOCK.length_s, "timezone": CLOCK.zone}
 
@@ -70,6 +81,27 @@ def test_intervals_of_topics_are_those_of_the_offline_way(nodes: Composition) ->
     assert newest["camera_id"] == "north"
     assert {row["class"] for row in newest["rows"]} >= {"all", "car"}
     assert probe.status_of("/north/traffic")["intervals"] == "3"
+
+
+def test_events_are_told_while_they_last(nodes: Composition) -> None:
+    frames = with_events(day(SUMMER_ENDS_NS, 4), period_s=235)
+    watch = EventWatch(parse_lane_file(ROAD, "text").lane_map.lanes)
+    watch.add(frames)
+    wanted = point_table(watch.take())
+    nodes.make(TrafficNode, "north", GIVEN)
+    probe = Probe(nodes)
+    heard = probe.listen_tables("traffic/events", EVENT_POINT_DTYPE)
+    texts = probe.listen("traffic/events_json", String)
+    probe.publisher("lanes/geojson", String, LATCHED).publish(String(data=ROAD))
+    meanwhile = int(np.searchsorted(frames.stamp_ns, SUMMER_ENDS_NS + 205 * 10**9))
+    send_all(probe, frames.part(0, meanwhile))
+    probe.until(lambda: bool(texts) and '"stopped_vehicle"' in texts[-1].data, "one that lasts")
+    send_all(probe, frames.part(meanwhile, len(frames)))
+    probe.until(lambda: sum(len(rows) for _, _, rows in heard) >= len(wanted), "all events")
+    rows = np.concatenate([rows for _, _, rows in heard])
+    assert rows.tobytes() == wanted.tobytes()
+    probe.until(lambda: bool(texts) and '"events": []' in texts[-1].data, "the end of all")
+    assert probe.status_of("/north/traffic")["events"] == "2"
 
 
 def test_intervals_are_stored_beside_the_tracks_and_go_on_after_a_restart(

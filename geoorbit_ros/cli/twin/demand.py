@@ -13,7 +13,7 @@ from geoorbit_ros.cli.twin.replay import NetOption
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from geoorbit_ros.cli.traffic import TrafficSource
+    from geoorbit_ros.cli.traffic_source import TrafficSource
     from geoorbit_ros.core.tables import Frames
     from geoorbit_ros.traffic.interval_clock import IntervalClock
 
@@ -57,7 +57,8 @@ def demand(
     --out monday[/bold]
     """
     from geoorbit_ros.cli.console import console, say
-    from geoorbit_ros.cli.traffic import clock_of, source_of_database
+    from geoorbit_ros.cli.traffic import clock_of
+    from geoorbit_ros.cli.traffic_source import source_of_database
     from geoorbit_ros.roadnet.network import load_network
     from geoorbit_ros.scenes.output import check_new_folder
     from geoorbit_ros.storage.atomic import atomic_output

@@ -51,6 +51,7 @@ class ReplayRequest:
         road_image: (H, W, 3) BGR of the road, for its painted lines; None: there is none.
         domain_id: ROS domain to be seen on; None takes a free one on this machine alone.
         quiet: Whether the nodes log warnings only.
+        camera_info: The camera's lens, in YAML; None: as the control points' file says.
     """
 
     bag: Path
@@ -65,6 +66,7 @@ class ReplayRequest:
     road_image: NDArray[np.uint8] | None = None
     domain_id: int | None = None
     quiet: bool = True
+    camera_info: Path | None = None
 
 
 def replay_bag(request: ReplayRequest, on_frames: Callable[[int], None] = lambda _: None) -> str:
@@ -120,6 +122,7 @@ class _Nodes:
         method = {"estimator": request.estimator, "update_period_s": request.update_period_s}
         camera = {
             "calibration_file": str(request.calibration),
+            "camera_info_file": str(request.camera_info or ""),
             "image_width": width,
             "image_height": height,
             "datum_latitude_deg": request.datum[0],

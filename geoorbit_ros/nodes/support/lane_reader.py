@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from geoorbit_ros.calibration.control_point_file import read_control_points
+from geoorbit_ros.calibration.camera_info import read_calibration
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.calibration.plane import RoadPlane
 from geoorbit_ros.lanes.geojson import parse_lane_file
-from geoorbit_ros.traffic.live import StampedLanes
+from geoorbit_ros.traffic.lane_maps import StampedLanes
 
 
 class LaneReader:
@@ -16,13 +16,14 @@ class LaneReader:
     Args:
         calibration_file: Control points; empty: the calibration is not known.
         place: Where the texts are from, for errors.
+        camera_info_file: The lens; empty: that of the control points' file.
     """
 
-    def __init__(self, calibration_file: str, place: str) -> None:
-        self._file, self._place = calibration_file, place
+    def __init__(self, calibration_file: str, place: str, camera_info_file: str = "") -> None:
+        self._file, self._place, self._lens = calibration_file, place, camera_info_file
         self._plane: tuple[Datum, RoadPlane] | None = None
         if calibration_file:  # a file that can't be used is told at once
-            read_control_points(calibration_file)
+            read_calibration(calibration_file, camera_info_file)
 
     def read(self, text: str) -> StampedLanes:
         """The lanes of a text.
@@ -38,5 +39,5 @@ class LaneReader:
         if not self._file:
             return None
         if self._plane is None or self._plane[0] != datum:
-            self._plane = datum, fit_homography(read_control_points(self._file, datum))
+            self._plane = datum, fit_homography(read_calibration(self._file, self._lens, datum))
         return self._plane[1]

@@ -111,7 +111,38 @@ MIGRATIONS: tuple[str, ...] = (
         UNIQUE (series, start_ns)
     );
     """,
-    # 3: What happened to a camera's view, a row for each time in which it was in one state.
+    # 3: Movements beside the intervals; what was told of events, in numbered rows, and how far.
+    """
+    CREATE TABLE traffic_movement (
+        id INTEGER PRIMARY KEY,
+        series INTEGER NOT NULL REFERENCES traffic_series (id),
+        start_ns INTEGER NOT NULL,
+        end_ns INTEGER NOT NULL,
+        intervals INTEGER NOT NULL,
+        row_count INTEGER NOT NULL,
+        data BLOB NOT NULL,
+        UNIQUE (series, start_ns)
+    );
+    CREATE INDEX traffic_movement_age ON traffic_movement (end_ns);
+    CREATE TABLE traffic_event (
+        id INTEGER PRIMARY KEY,
+        series INTEGER NOT NULL REFERENCES traffic_series (id),
+        first_row INTEGER NOT NULL,
+        start_ns INTEGER NOT NULL,
+        end_ns INTEGER NOT NULL,
+        row_count INTEGER NOT NULL,
+        data BLOB NOT NULL,
+        UNIQUE (series, first_row)
+    );
+    CREATE INDEX traffic_event_age ON traffic_event (end_ns);
+    CREATE TABLE traffic_watch (
+        series INTEGER PRIMARY KEY REFERENCES traffic_series (id),
+        stamp_ns INTEGER NOT NULL,
+        row_count INTEGER NOT NULL,
+        data BLOB NOT NULL
+    );
+    """,
+    # 4: What happened to a camera's view, a row for each time in which it was in one state.
     """
     CREATE TABLE view_event (
         id INTEGER PRIMARY KEY,

@@ -1,4 +1,4 @@
-"""Traffic per lane beside the tracks: intervals, vehicles and the lane maps they were counted on.
+"""Traffic beside the tracks: intervals, vehicles, movements, and the maps they were counted on.
 
 Rows are tables of numbers whose columns `traffic.packed` defines; what is stored tells its columns.
 """
@@ -6,21 +6,21 @@ Rows are tables of numbers whose columns `traffic.packed` defines; what is store
 from __future__ import annotations
 
 import zlib
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import InputFileError
-from geoorbit_ros.storage.database.reader import TrajectoryReader
 from geoorbit_ros.storage.database.schema import (
     decode_rows,
     decode_tables,
     encode_rows,
     faults_as_sentences,
 )
-from geoorbit_ros.storage.database.writer import PRUNE_STEP, TrajectoryDatabase
+from geoorbit_ros.storage.database.traffic_events import EVENTS_VERSION, EventReader, EventWriter
+from geoorbit_ros.storage.database.traffic_series import SeriesName, joined
+from geoorbit_ros.storage.database.writer import PRUNE_STEP
 
 BLOCK_INTERVALS = 96
 """A block with this many intervals is full. Chosen: a day of quarters of an hour; more takes longer
@@ -29,36 +29,10 @@ BLOCK_ROWS = 2000
 """So is one with this many rows. Chosen: 200 kB before compression."""
 LATE_NS = 3_600_000_000_000
 """Passages may have ended so long before the block of their vehicle begins: paths are shorter."""
+TABLES = ("traffic_interval", "traffic_vehicle", "traffic_movement", "traffic_event")
+"""Tables whose blocks are deleted when they are old."""
 _MIN_NS = -(2**62)
 _MAX_NS = 2**62
-
-
-@dataclass(frozen=True, slots=True)
-class SeriesName:
-    """Which intervals of a camera.
-
-    Attributes:
-        camera_id: Whose.
-        length_s: Their length.
-        zone: IANA name of the time zone on whose clock they end.
-        scheme: The classes of vehicles, as `traffic.class_schemes` writes them.
-    """
-
-    camera_id: str
-    length_s: int
-    zone: str
-    scheme: str
-
-
-@dataclass(frozen=True, slots=True)
-class SeriesContent:
-    """What is stored of a series: begin of the first and end of the last interval; how many."""
-
-    name: SeriesName
-    start_ns: int
-    end_ns: int
-    intervals: int
-    rows: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +60,7 @@ class TrafficPart:
         intervals: How many.
         rows: Their rows, with `start_ns`.
         vehicles: Rows of the vehicles that were last seen in them, with `last_ms`.
+        movements: Rows of from where to where these went, with `start_ns`.
         lane_map: What they were counted on.
     """
 
@@ -94,29 +69,15 @@ class TrafficPart:
     intervals: int
     rows: NDArray[np.void]
     vehicles: NDArray[np.void]
+    movements: NDArray[np.void]
     lane_map: TrafficMap
 
 
-class TrafficReader(TrajectoryReader):
+class TrafficReader(EventReader):
     """A trajectory database's traffic tables, and all that `TrajectoryReader` reads.
 
     Files of version 1 have none: they read as empty.
     """
-
-    def traffic_series(self, camera_id: str | None = None) -> tuple[SeriesContent, ...]:
-        """What is stored, by camera, length, zone and scheme."""
-        if not self._has_traffic():
-            return ()
-        with self._lock, faults_as_sentences(self.path):
-            found = self._connection.execute(
-                "SELECT name, length_s, zone, scheme, min(start_ns), max(end_ns), sum(intervals),"
-                " sum(row_count) FROM traffic_series JOIN camera ON camera.id = camera"
-                " JOIN traffic_interval ON series = traffic_series.id"
-                " WHERE ?1 IS NULL OR name = ?1"
-                " GROUP BY traffic_series.id ORDER BY name, length_s, zone, scheme",
-                (camera_id,),
-            ).fetchall()
-        return tuple(SeriesContent(SeriesName(*row[:4]), *row[4:]) for row in found)
 
     def traffic_end(self, series: SeriesName) -> int | None:
         """End of the last stored interval; None: there is none."""
@@ -127,12 +88,18 @@ class TrafficReader(TrajectoryReader):
         self, series: SeriesName, start_ns: int = _MIN_NS, end_ns: int = _MAX_NS
     ) -> NDArray[np.void]:
         """Rows of the intervals that begin at start_ns <= time < end_ns, in time order."""
-        key = self._series_key(series)
-        rows = self._blocks("traffic_interval", "series", key, start_ns, end_ns)
-        if not rows.dtype.names:
-            return rows
-        begin, end = np.searchsorted(rows["start_ns"], (start_ns, max(start_ns, end_ns)))
-        return rows[begin:end]
+        return self._interval_rows("traffic_interval", series, start_ns, end_ns)
+
+    def traffic_movements(
+        self, series: SeriesName, start_ns: int = _MIN_NS, end_ns: int = _MAX_NS
+    ) -> NDArray[np.void]:
+        """Movements of the intervals that begin at start_ns <= time < end_ns, in time order.
+
+        Files of version 2 have none.
+        """
+        if self.version < EVENTS_VERSION:
+            return np.empty(0, np.dtype([]))
+        return self._interval_rows("traffic_movement", series, start_ns, end_ns)
 
     def traffic_vehicles(
         self, camera_id: str, start_ns: int = _MIN_NS, end_ns: int = _MAX_NS
@@ -205,21 +172,14 @@ class TrafficReader(TrajectoryReader):
             found = self._connection.execute("SELECT 1 FROM camera WHERE name = ?", (camera_id,))
             return found.fetchone() is not None
 
-    def _has_traffic(self) -> bool:
-        with self._lock, faults_as_sentences(self.path):
-            return int(self._connection.execute("PRAGMA user_version").fetchone()[0]) > 1
-
-    def _series_key(self, series: SeriesName) -> int:
-        """0 where nothing is stored."""
-        if not self._has_traffic():
-            return 0
-        with self._lock, faults_as_sentences(self.path):
-            row = self._connection.execute(
-                "SELECT traffic_series.id FROM traffic_series JOIN camera ON camera.id = camera"
-                " WHERE name = ? AND length_s = ? AND zone = ? AND scheme = ?",
-                (series.camera_id, series.length_s, series.zone, series.scheme),
-            ).fetchone()
-        return 0 if row is None else int(row[0])
+    def _interval_rows(
+        self, table: str, series: SeriesName, start_ns: int, end_ns: int
+    ) -> NDArray[np.void]:
+        rows = self._blocks(table, "series", self._series_key(series), start_ns, end_ns)
+        if not rows.dtype.names:
+            return rows
+        begin, end = np.searchsorted(rows["start_ns"], (start_ns, max(start_ns, end_ns)))
+        return rows[begin:end]
 
     def _end(self, key: int) -> int | None:
         if not key:
@@ -243,10 +203,10 @@ class TrafficReader(TrajectoryReader):
                 " AND start_ns < ?3 ORDER BY start_ns",
                 (key, start_ns, end_ns),
             )
-            return _joined(decode_tables(found.fetchall()))
+            return joined(decode_tables(found.fetchall()))
 
 
-class TrafficDatabase(TrajectoryDatabase, TrafficReader):
+class TrafficDatabase(EventWriter, TrafficReader):
     """Writes traffic tables; any number of processes may read meanwhile.
 
     Args:
@@ -261,37 +221,28 @@ class TrafficDatabase(TrajectoryDatabase, TrafficReader):
         Raises:
             InputFileError: An interval is there already.
         """
-        camera = self._cameras.get(series.camera_id) or self._camera(series.camera_id)
-        values = (camera.key, series.length_s, series.zone, series.scheme)
+        camera = self._camera_key(series.camera_id)
         with self._lock, self._transaction():
-            self._connection.execute(
-                "INSERT OR IGNORE INTO traffic_series (camera, length_s, zone, scheme)"
-                " VALUES (?, ?, ?, ?)",
-                values,
-            )
-            (key,) = self._connection.execute(
-                "SELECT id FROM traffic_series WHERE camera = ? AND length_s = ? AND zone = ?"
-                " AND scheme = ?",
-                values,
-            ).fetchone()
+            key = self._new_series(camera, series)
             end_ns = self._end(key)
             if end_ns is not None and part.start_ns < end_ns:
                 found = f"an interval from {part.start_ns / 1e9:.0f} s of '{series.camera_id}'"
                 expected = f"one from {end_ns / 1e9:.0f} s on: no interval is stored twice"
                 raise InputFileError(str(self.path), found, expected)
             self._append_map(key, part.lane_map)
-            self._append_rows(key, part)
-            self._append_vehicles(camera.key, part)
+            self._append_rows("traffic_interval", key, part, part.rows)
+            self._append_rows("traffic_movement", key, part, part.movements)
+            self._append_vehicles(camera, part)
 
     def prune_traffic(self, older_than_ns: int, limit: int = PRUNE_STEP) -> int:
-        """Delete blocks of intervals and vehicles that ended before; see `prune`.
+        """Delete blocks of intervals, vehicles and events that ended before; see `prune`.
 
         Returns:
             How many blocks were deleted.
         """
         deleted = 0
         with self._lock, self._transaction():
-            for table in ("traffic_interval", "traffic_vehicle"):
+            for table in TABLES:
                 deleted += self._connection.execute(
                     f"DELETE FROM {table} WHERE id IN (SELECT id FROM {table}"
                     " WHERE end_ns < ? ORDER BY end_ns LIMIT ?)",
@@ -312,20 +263,20 @@ class TrafficDatabase(TrajectoryDatabase, TrafficReader):
                 (key, lane_map.start_ns, lane_map.stamp_ns, packed),
             )
 
-    def _append_rows(self, key: int, part: TrafficPart) -> None:
+    def _append_rows(self, table: str, key: int, part: TrafficPart, rows: NDArray[np.void]) -> None:
         """Into the last block while that isn't full."""
         last = self._connection.execute(
-            "SELECT id, start_ns, end_ns, intervals, row_count, data FROM traffic_interval"
+            f"SELECT id, start_ns, end_ns, intervals, row_count, data FROM {table}"
             " WHERE series = ? ORDER BY start_ns DESC LIMIT 1",
             (key,),
         ).fetchone()
-        start_ns, intervals, rows = part.start_ns, part.intervals, part.rows
+        start_ns, intervals = part.start_ns, part.intervals
         if last is not None and _has_room(last[3], last[4]) and last[2] == part.start_ns:
-            rows = _joined([decode_rows(last[5], last[4]), rows])
+            rows = joined([decode_rows(last[5], last[4]), rows])
             start_ns, intervals = last[1], last[3] + intervals
-            self._connection.execute("DELETE FROM traffic_interval WHERE id = ?", (last[0],))
+            self._connection.execute(f"DELETE FROM {table} WHERE id = ?", (last[0],))
         self._connection.execute(
-            "INSERT INTO traffic_interval (series, start_ns, end_ns, intervals, row_count, data)"
+            f"INSERT INTO {table} (series, start_ns, end_ns, intervals, row_count, data)"
             " VALUES (?, ?, ?, ?, ?, ?)",
             (key, start_ns, part.end_ns, intervals, len(rows), encode_rows(rows)),
         )
@@ -343,7 +294,7 @@ class TrafficDatabase(TrajectoryDatabase, TrafficReader):
         if part.end_ns <= start_ns or not len(rows):
             return
         if last is not None and _has_room(0, last[3]):
-            rows, start_ns = _joined([decode_rows(last[4], last[3]), rows]), last[1]
+            rows, start_ns = joined([decode_rows(last[4], last[3]), rows]), last[1]
             self._connection.execute("DELETE FROM traffic_vehicle WHERE id = ?", (last[0],))
         self._connection.execute(
             "INSERT INTO traffic_vehicle (camera, start_ns, end_ns, row_count, data)"
@@ -362,20 +313,3 @@ def _of_vehicles_after(rows: NDArray[np.void], stamp_ns: int) -> NDArray[np.void
 
 def _has_room(intervals: int, rows: int) -> bool:
     return intervals < BLOCK_INTERVALS and rows < BLOCK_ROWS
-
-
-def _joined(tables: Sequence[NDArray[np.void]]) -> NDArray[np.void]:
-    """Tables below one another, with the columns that all of them have."""
-    if not tables:
-        return np.empty(0, np.dtype([]))
-    if len(tables) == 1:
-        return tables[0]
-    if all(table.dtype == tables[0].dtype for table in tables):
-        return np.concatenate(tables)
-    names = [
-        name
-        for name in tables[-1].dtype.names or ()
-        if all(name in (table.dtype.names or ()) for table in tables)
-    ]
-    dtype = np.dtype([(name, tables[-1].dtype[name]) for name in names])
-    return np.concatenate([table[names].astype(dtype) for table in tables])

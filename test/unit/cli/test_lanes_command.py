@@ -166,6 +166,11 @@ def test_boxes_are_in_the_pixels_of_the_image_where_nobody_says_another_size(
     assert code == 0
     assert "is the image really" not in said
     assert edges_of(out) == ["paint"] * 4
+    half.rename(tmp_path / "road.png")  # as `geoorbit process` leaves it beside the tracks
+    assert run("lanes", *words, "--image-size", "960x540")[0] == 0
+    of_size = out.read_bytes()
+    assert run("lanes", *words)[0] == 0
+    assert out.read_bytes() == of_size
 
 
 def test_tables_fit_in_a_terminal_of_80_columns(

@@ -97,6 +97,23 @@ def test_a_vehicle_that_drives_against_its_lane_is_an_event(
     assert "against the direction of lane 2" in (out / "report.html").read_text(encoding="utf-8")
 
 
+def test_stations_are_told_and_can_be_chosen(
+    camera: CameraFiles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("--lanes", camera.truth, "--force", "--station")
+    out = tmp_path / "out"
+    assert traffic(camera, out, *words, "25") == 0
+    said = capsys.readouterr().out
+    (place,) = set(re.findall(r"Station 1 is at (\S+,\S+), 25 m along lane", said))
+    assert traffic(camera, out, *words, place) == 0
+    assert f"Station 1 is at {place}, 25 m along" in capsys.readouterr().out
+    for wrong, told in (("0,0", "beside a lane"), ("900", "beside a lane"), ("here", "metres")):
+        assert traffic(camera, out, *words, wrong) == 2
+        error = capsys.readouterr().err
+        assert "option --station" in error
+        assert told in error
+
+
 def test_the_lanes_are_found_where_none_are_given(
     camera: CameraFiles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

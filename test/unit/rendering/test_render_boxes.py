@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from made_images import (
@@ -23,6 +25,7 @@ from made_images import (
 )
 from made_scenes import Array
 
+from geoorbit_ros.calibration.lens import Lens
 from geoorbit_ros.core.tables import FLAG_TRUNCATED
 from geoorbit_ros.rendering.conditions import LIGHTS, Conditions, illumination
 from geoorbit_ros.rendering.occlusion import draw_order
@@ -99,6 +102,26 @@ def test_a_box_lies_in_the_projected_upright_box() -> None:
     assert np.all(boxes[:, 2:] <= whole[:, 2:] + 1e-6)
     # A vehicle stands on the road with its wheels: few pixels of the upright box are missing.
     assert np.median((boxes[:, 3] - whole[:, 3]) / (whole[:, 3] - whole[:, 1])) > -0.06
+
+
+def test_behind_a_lens_a_box_holds_what_is_painted() -> None:
+    roads, camera = road_and_camera()
+    width, height = camera.image_size
+    lens = Lens(camera.focal_px, camera.focal_px, width / 2, height / 2, camera.image_size, -0.25)
+    bent = SceneRenderer(replace(camera, lens=lens), roads)
+    place = on_road(222.0, 4.0, TRUCK, 20.0)
+    images = [bent.render(vehicles(place, first=k), 0.0) for k in range(6)]
+    assert images[0].shape == (height, width, 3)
+    painted = extent(np.any([difference(a, images[0]) > 4 for a in images[1:]], axis=0))
+    box = bent.render_with_boxes(vehicles(place), 0.0)[1].boxes[0]
+    whole, _ = exact_boxes(replace(camera, lens=lens), vehicles(place))
+    assert np.all(painted[:2] >= box[:2] - 2.0)
+    assert np.all(painted[2:] <= box[2:] + 2.0)
+    assert np.abs(painted - box)[:3].max() < 2.0  # the wheels have one colour
+    assert np.all(box[:2] >= whole[0, :2] - 0.5)
+    assert np.all(box[2:] <= whole[0, 2:] + 0.5)
+    straight = renderer().render_with_boxes(vehicles(place), 0.0)[1].boxes[0]
+    assert np.abs(box - straight).max() > 3.0
 
 
 def test_neither_light_nor_weather_moves_a_box() -> None:

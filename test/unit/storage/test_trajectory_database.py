@@ -264,8 +264,8 @@ def test_an_older_schema_is_brought_up_to_date_with_its_data(tmp_path: Path) -> 
     assert raw.execute("SELECT name, note FROM camera").fetchall() == [("a", None)]
     raw.close()
     for opened in (TrajectoryDatabase, TrajectoryReader):
-        told = f"schema version {len(newer)}, written by a newer geoorbit"
-        with pytest.raises(InputFileError, match=told):
+        found = f"schema version {len(newer)}, written by a newer geoorbit"
+        with pytest.raises(InputFileError, match=found):
             opened(path)
 
 

@@ -24,21 +24,15 @@ from numpy.typing import NDArray
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.tables import TRACK_DTYPE, Frames
 from geoorbit_ros.traffic.interval_clock import IntervalClock
-from geoorbit_ros.traffic.live import (
-    LEAD_NS,
-    Finished,
-    LiveTraffic,
-    Resume,
-    StampedLanes,
-    last_seen,
-    same_lanes,
-)
+from geoorbit_ros.traffic.lane_maps import StampedLanes, same_lanes
+from geoorbit_ros.traffic.live import LEAD_NS, Finished, LiveTraffic, Resume
 from geoorbit_ros.traffic.packed import (
     pack_measures,
     pack_passages,
     unpack_measures,
     unpack_passages,
 )
+from geoorbit_ros.traffic.records import last_seen
 from geoorbit_ros.traffic.tables import interval_table, vehicle_table
 from geoorbit_ros.traffic.track_links import LONGEST_NS, cut_ns
 

@@ -12,8 +12,9 @@ from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.core.tables import BUS, CAR, MOTORCYCLE, TRUCK, UNKNOWN_CLASS
 from geoorbit_ros.traffic.class_schemes import SCHEMES, SchemeFile, scheme_of
 from geoorbit_ros.traffic.interval_clock import NS, ObservedTime
-from geoorbit_ros.traffic.measures import MeasuredLanes, Traffic, headways_s, measure
-from geoorbit_ros.traffic.records import CROSSING_DTYPE, PASSAGE_DTYPE
+from geoorbit_ros.traffic.measures import Traffic, headways_s, measure
+from geoorbit_ros.traffic.records import CROSSING_DTYPE, PASSAGE_DTYPE, PIECE_DTYPE
+from geoorbit_ros.traffic.stations import MeasuredLanes
 
 LANES = MeasuredLanes(
     np.array([4, 7, 2]), np.array([1, 2, 1]), np.array([100.0, 100.0, 50.0]), np.array([1, 1, 2])
@@ -33,6 +34,9 @@ def made_up(
         table["lane_id"], table["class_id"], table["length_m"] = lane, class_id, length_m
         table["speed_mps"], table["speed_sigma_mps"] = speed, 0.2
     crossings["stamp_ns"] = np.round(at_s * NS)
+    over_ns = round(0.5 * np.nan_to_num(length_m) / speed * NS)
+    crossings["front_ns"] = crossings["stamp_ns"] - over_ns
+    crossings["rear_ns"] = crossings["stamp_ns"] + over_ns
     crossings["station_id"] = LANES.station[LANES.lane_id == lane][0]
     half_ns = 0.5 * length / speed * NS
     passages["first_ns"] = crossings["stamp_ns"] - round(half_ns)
@@ -47,7 +51,11 @@ def watched(*spans_s: tuple[float, float]) -> ObservedTime:
 
 def traffic(*parts: tuple[NDArray[np.void], NDArray[np.void]], observed: ObservedTime) -> Traffic:
     passages, crossings = (np.concatenate(tables) for tables in zip(*parts, strict=True))
-    return Traffic(passages, crossings, observed, LANES, SCHEMES["coco"])
+    pieces = np.zeros(len(passages), PIECE_DTYPE)
+    for name in set(PIECE_DTYPE.names or ()) - {"way_m"}:
+        pieces[name] = passages[name]
+    pieces["way_m"] = passages["last_arc_m"] - passages["first_arc_m"]
+    return Traffic(passages, crossings, pieces, observed, LANES, SCHEMES["coco"])
 
 
 def row(table: NDArray[np.void], start_s: float, lane: int, category: int = -1) -> Any:
@@ -57,6 +65,19 @@ def row(table: NDArray[np.void], start_s: float, lane: int, category: int = -1) 
 
 
 EVERY_3_S = np.arange(1.5, 300.0, 3.0)
+
+
+def test_who_stands_on_the_line_covers_it_in_each_interval_that_it_stands_in() -> None:
+    passages, crossings = made_up(4, np.array([130.0]), 0.1)
+    crossings["front_ns"], crossings["rear_ns"] = 30 * NS, 150 * NS
+    made = traffic((passages, crossings), observed=watched((0, 240)))
+    edges = np.array([0, 60, 120, 180, 240]) * NS
+    for rows in (
+        measure(made, edges),
+        np.concatenate([measure(made, edges[k : k + 2]) for k in range(4)]),
+    ):
+        found = [row(rows, start_s, 4)["occupancy_percent"] for start_s in (0, 60, 120, 180)]
+        assert found == pytest.approx([50.0, 100.0, 50.0, 0.0])
 
 
 def test_steady_traffic_has_the_flow_speed_density_and_headway_that_it_was_made_with() -> None:

@@ -13,8 +13,11 @@ from geoorbit_ros.core.errors import TableError
 from geoorbit_ros.core.lanes import Lane, lane_of_map
 from geoorbit_ros.core.polylines import offset_line
 from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE, TRACK_DTYPE, Frames, frames_from_rows
+from geoorbit_ros.traffic.class_schemes import SCHEMES
+from geoorbit_ros.traffic.count import record
 from geoorbit_ros.traffic.counter import Counted, TrafficCounter
-from geoorbit_ros.traffic.stations import place_stations
+from geoorbit_ros.traffic.measures import measure
+from geoorbit_ros.traffic.stations import StationPlace, place_stations
 
 WIDTH_M = 3.5
 LENGTH_M = 120.0
@@ -226,6 +229,95 @@ def test_lanes_side_by_side_share_a_line_and_a_ramp_that_ends_before_has_its_own
     assert stations[0].arc_m == pytest.approx((20.0, 20.0, 20.0), abs=1.5)
     far = lane(9, straight(offset_m=-WIDTH_M), 140.0, 180.0)
     assert [station.lanes for station in place_stations([*TWO_LANES, far])] == [(0, 1), (2,)]
+
+
+@pytest.mark.parametrize("along_m", [20.0, 61.5, 97.0])
+def test_a_station_is_where_it_is_wanted_and_counts_the_same_vehicles(along_m: float) -> None:
+    back = backwards(straight(offset_m=-8.0))
+    lanes = [*TWO_LANES, lane(7, back)]
+    frames = traffic(
+        [Stream(straight(offset_m=WIDTH_M * k), 9) for k in range(2)] + [Stream(back, 7)], seed=3
+    )
+    for place in (StationPlace(np.array([along_m, -1.0])), StationPlace(along_m=along_m)):
+        counter = TrafficCounter(lanes, place=place)
+        counter.add(frames)
+        crossings = counter.finish().crossings
+        assert np.bincount(crossings["lane_id"])[[3, 5, 7]].tolist() == [9, 9, 7]
+        ahead, oncoming = counter.stations
+        assert ahead.arc_m == pytest.approx((along_m, along_m), abs=0.01)
+        there = LENGTH_M - along_m if place.point_m is not None else along_m
+        assert oncoming.arc_m == pytest.approx((there,), abs=0.01)
+
+
+def test_a_place_that_a_direction_does_not_pass_leaves_its_station_where_it_is_best() -> None:
+    far = [lane(1, straight(offset_m=200.0)), *TWO_LANES]
+    usual = {s.lanes: s.arc_m for s in place_stations(far)}
+    chosen = {s.lanes: s.arc_m for s in place_stations(far, StationPlace(np.array([30.0, 0.0])))}
+    assert chosen[(0,)] == usual[(0,)]
+    assert chosen[(1, 2)] == pytest.approx((30.0, 30.0), abs=0.01)
+    assert place_stations(far, StationPlace(along_m=500.0))[0].arc_m == place_stations(far)[0].arc_m
+
+
+def rider(
+    track_id: int, left_m: float, start_s: float, class_id: int = 3
+) -> tuple[NDArray[np.int64], NDArray[np.void]]:
+    """Somebody on two wheels at 10 m/s."""
+    stamps, rows = drive(straight(offset_m=left_m), 10.0, start_s, track_id, seed=track_id)
+    rows["class_id"], rows["length"] = class_id, 2.0
+    return stamps, rows
+
+
+@pytest.mark.parametrize("other_class", [1, 3])
+def test_riders_side_by_side_are_two_and_two_ids_on_one_rider_are_one(other_class: int) -> None:
+    beside = count(frames_of(rider(1, -0.8, 0.0), rider(2, 0.8, 0.1, other_class)), TWO_LANES)
+    assert len(beside.crossings) == 2
+    twice = count(frames_of(rider(1, 0.2, 0.0), rider(2, 0.0, 0.1, other_class)), TWO_LANES)
+    assert len(twice.crossings) == 1
+    behind = count(frames_of(rider(1, 0.2, 0.0), rider(2, 0.0, 0.6, other_class)), TWO_LANES)
+    assert len(behind.crossings) == 2
+
+
+@pytest.mark.parametrize(("before_m", "waits"), [(0.0, True), (1.5, True), (4.0, False)])
+def test_who_stands_on_the_line_covers_it_all_the_time(before_m: float, waits: bool) -> None:
+    (station,) = place_stations(TWO_LANES)
+    counted = count(frames_of(timed(stops_at(station.arc_m[0] - before_m, 60.0), 1)), TWO_LANES)
+    (row,) = counted.crossings
+    over_s = (row["rear_ns"] - row["front_ns"]) * 1e-9
+    assert over_s == pytest.approx(4.5 / 10.0 + 60.0 * waits, abs=1.0)
+    assert row["front_ns"] <= row["stamp_ns"] <= row["rear_ns"]
+
+
+def test_time_and_way_are_in_the_intervals_in_which_they_were_spent_and_driven() -> None:
+    """A vehicle stands for a minute and a half; the minute in the middle knows no way."""
+    frames = frames_of(timed(stops_at(40.0, 90.0), 1))
+    recorded = record(TrafficCounter(TWO_LANES), [frames], 2.0)
+    pieces = recorded.pieces
+    (passage,) = recorded.passages
+    assert pieces["way_m"].sum() == pytest.approx(passage["last_arc_m"] - passage["first_arc_m"])
+    assert (pieces["first_ns"][1:] == pieces["last_ns"][:-1]).all()
+    edges = np.array([0, 20, 80, 110]) * 10**9
+    rows = measure(recorded.traffic(SCHEMES["coco"]), edges)
+    rows = rows[(rows["lane_id"] == 3) & (rows["category"] == -1)]
+    speed = rows["space_mean_speed_kmh"] / 3.6
+    assert speed[1] == pytest.approx(0.0, abs=0.05)
+    assert speed[0] == pytest.approx(40.0 / 20.0, rel=0.1)
+    assert speed[2] == pytest.approx(79.0 / 22.0, rel=0.1)
+
+
+@pytest.mark.parametrize("from_turn", [0.3, 0.6, 0.9])
+def test_the_place_where_a_roundabout_begins_and_ends_is_no_end(from_turn: float) -> None:
+    round_m = 2.0 * np.pi * 18.0
+    ring = lane(4, arc(18.0), 0.0, round_m)
+    path = arc(18.0)
+    vehicle = drive(
+        lambda s: path(s + from_turn * round_m), 8.0, seen_m=(0.0, 0.65 * round_m), noise_m=0.05
+    )
+    counted = count(frames_of(vehicle), [ring])
+    assert (counted.passages["lane_id"] == 4).all()
+    assert (counted.passages["from_lane"] == 0).all()
+    assert counted.pieces["way_m"].sum() == pytest.approx(0.65 * round_m, abs=4.0)
+    assert counted.passages["speed_mps"] == pytest.approx(8.0, abs=0.4)
+    assert len(counted.crossings) == (from_turn > 0.85 or from_turn < 0.5)
 
 
 def test_rows_of_another_kind_and_earlier_frames_are_refused() -> None:

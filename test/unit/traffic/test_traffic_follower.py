@@ -16,23 +16,25 @@ from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.tables import Frames
 from geoorbit_ros.storage.database.schema import MIGRATIONS, connect, decode_rows, encode_rows
 from geoorbit_ros.storage.database.traffic import (
-    SeriesName,
     TrafficDatabase,
     TrafficMap,
     TrafficPart,
     TrafficReader,
 )
+from geoorbit_ros.storage.database.traffic_series import SeriesName
 from geoorbit_ros.traffic.class_schemes import SCHEMES, scheme_text, stored_scheme
 from geoorbit_ros.traffic.follower import TrafficFollower
 from geoorbit_ros.traffic.interval_clock import IntervalClock
-from geoorbit_ros.traffic.live import StampedLanes, last_seen
+from geoorbit_ros.traffic.lane_maps import StampedLanes
 from geoorbit_ros.traffic.measures import MEASURE_DTYPE
 from geoorbit_ros.traffic.packed import (
     PACKED_MEASURE_DTYPE,
+    PACKED_MOVEMENT_DTYPE,
     PACKED_PASSAGE_DTYPE,
     pack_measures,
     pack_passages,
 )
+from geoorbit_ros.traffic.records import last_seen
 
 NAMED: dict[str, list[Lane]] = {"first": LANES, "moved": MOVED}
 SERIES = SeriesName("north", CLOCK.length_s, CLOCK.zone, scheme_text(SCHEME))
@@ -165,10 +167,11 @@ def part(start_s: int, intervals: int = 1) -> TrafficPart:
     rows["start_ns"] = (start_s + 60 * np.repeat(np.arange(intervals), 3)) * NS
     vehicles = np.zeros(2, PACKED_PASSAGE_DTYPE)
     vehicles["vehicle_id"], vehicles["last_ms"] = start_s, 1000 * start_s + 5
+    moved = np.zeros(intervals, PACKED_MOVEMENT_DTYPE)
+    moved["start_ns"] = rows["start_ns"][::3]
     lane_map = TrafficMap(start_s * NS, 0, "first")
-    return TrafficPart(
-        start_s * NS, (start_s + 60 * intervals) * NS, intervals, rows, vehicles, lane_map
-    )
+    end_ns = (start_s + 60 * intervals) * NS
+    return TrafficPart(start_s * NS, end_ns, intervals, rows, vehicles, moved, lane_map)
 
 
 def test_an_interval_is_never_stored_twice(tmp_path: Path) -> None:
@@ -210,11 +213,12 @@ def test_columns_of_older_versions_are_read(tmp_path: Path) -> None:
         assert database.traffic_rows(SERIES).dtype.names == ("start_ns", "volume")
 
 
-def test_a_database_of_version_1_is_read_as_it_is_and_brought_up_to_date_to_count(
-    tmp_path: Path,
+@pytest.mark.parametrize("version", [1, 2])
+def test_an_older_database_is_read_as_it_is_and_brought_up_to_date_to_count(
+    tmp_path: Path, version: int
 ) -> None:
     path, frames = tmp_path / "t.db", day(SUMMER_ENDS_NS, 3)
-    connect(path, read_only=False, migrations=MIGRATIONS[:1]).close()
+    connect(path, read_only=False, migrations=MIGRATIONS[:version]).close()
     raw = sqlite3.connect(path)
     raw.execute("INSERT INTO camera (name) VALUES ('north')")
     raw.commit()
@@ -224,6 +228,9 @@ def test_a_database_of_version_1_is_read_as_it_is_and_brought_up_to_date_to_coun
         assert reader.traffic_end(SERIES) is None
         assert len(reader.traffic_rows(SERIES)) == len(reader.traffic_vehicles("north")) == 0
         assert reader.traffic_vehicle_count("north") == 0
+        assert len(reader.traffic_events(SERIES)) == len(reader.traffic_movements(SERIES)) == 0
+        assert reader.traffic_event_rows(SERIES) == 0
+        assert reader.traffic_watch(SERIES) is None
     with TrafficDatabase(path) as database:
         database.append_lanes("north", SUMMER_ENDS_NS, "first")
         record(database, frames)
