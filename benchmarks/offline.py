@@ -3,7 +3,7 @@
 Traffic: the recording of Yahara where GEOORBIT_REAL_DATA names its folder, else one minute of the
 shipped scene motorway_4x4. Ground points are the lower edges of the boxes of every tenth vehicle.
 `--day SHARE` plays the minute again and again, until a share of a busy day (40 million boxes) has
-gone through, and says time and memory.
+gone through in two processes, lanes and traffic, and says time and memory.
 """
 
 from __future__ import annotations
@@ -24,13 +24,24 @@ import numpy as np
 from geoorbit_ros.calibration.box_projector import BoxProjector
 from geoorbit_ros.calibration.control_point_file import read_control_points
 from geoorbit_ros.calibration.homography import Homography, fit_homography
-from geoorbit_ros.core.tables import FLAG_GROUND_POINT, Frames, frames_from_rows
+from geoorbit_ros.core.frame_spool import FrameSpool
+from geoorbit_ros.core.tables import (
+    FLAG_GROUND_POINT,
+    PIXEL_TRACK_DTYPE,
+    TRACK_DTYPE,
+    Frames,
+    frames_from_rows,
+)
 from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.lanes.mapping.mapper import LaneMapper
 from geoorbit_ros.lanes.pipeline import BLOCK_ROWS, map_blocks, map_lanes, project_blocks
+from geoorbit_ros.lanes.projection_helper import project_beside
 from geoorbit_ros.scenes.scene import load_scene
 from geoorbit_ros.scenes.simulate import simulate
 from geoorbit_ros.storage.track_csv import read_track_csv
+from geoorbit_ros.traffic.count import record
+from geoorbit_ros.traffic.counter import TrafficCounter
+from geoorbit_ros.traffic.interval_clock import GAP_S
 
 ROUNDS = 5
 DAY_ROWS = 40_000_000
@@ -130,23 +141,37 @@ def laps(frames: Frames, rows: int) -> Iterator[Frames]:
 
 
 def long_run(camera: Camera, share: float) -> None:
-    """A share of a day."""
-    projector, mapper = camera.projector(), LaneMapper(make_estimator("curvilinear"))
-    rows, spent = 0, [0.0, 0.0]
-    start = time.perf_counter()
-    for block in laps(camera.frames, round(share * DAY_ROWS)):
-        rows += len(block.rows)
-        ground: list[Frames] = []
-        spent[0] += seconds(lambda b=block, g=ground: g.append(projector.project_block(b)))  # type: ignore[misc]
-        spent[1] += seconds(lambda g=ground: [mapper.add(*f) for f in g[0].tables()])  # type: ignore[misc]
-    spent[1] += seconds(mapper.finish)
-    wall_s = time.perf_counter() - start
-    memory_gb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    """A share of a day, as `geoorbit traffic` takes a long recording."""
+    blocks = laps(camera.frames, round(share * DAY_ROWS))
+    boxes, ground = FrameSpool.of(blocks, PIXEL_TRACK_DTYPE), FrameSpool(TRACK_DTYPE)
+    mapper, times = LaneMapper(make_estimator("curvilinear")), [_times()]
+    lanes = map_blocks(project_beside(boxes, camera.projector(), ground), mapper).lanes
+    times.append(_times())
+    counter = TrafficCounter(lanes, camera.homography)
+    recorded = record(counter, ground.blocks(BLOCK_ROWS), GAP_S, beside=ground)
+    times.append(_times())
     print(
-        f"{rows} boxes of {camera.name} in {wall_s:.1f} s, of processor time {spent[0]:.1f} s for "
-        f"the ground tracks and {spent[1]:.1f} s for the lanes; {memory_gb:.2f} GB",
-        file=sys.stderr,
+        f"{boxes.row_count} boxes of {camera.name}, {recorded.vehicles} vehicles", file=sys.stderr
     )
+    for what, before, after in zip(("lanes", "traffic"), times[:-1], times[1:], strict=True):
+        wall_s, here_s, helper_s = (b - a for a, b in zip(before, after, strict=True))
+        print(
+            f"{what}: {wall_s:.1f} s, of processor time {here_s:.1f} s here and {helper_s:.1f} s "
+            "in the second process",
+            file=sys.stderr,
+        )
+    sizes = [resource.getrusage(of).ru_maxrss / 1e6 for of in (_HERE, _HELPERS)]
+    print(f"memory: {sizes[0]:.2f} GB here, {sizes[1]:.2f} GB in the second", file=sys.stderr)
+
+
+_HERE, _HELPERS = resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN
+
+
+def _times() -> tuple[float, float, float]:
+    """Seconds on the wall, and of processor time here and in processes that have ended."""
+    used = [resource.getrusage(of) for of in (_HERE, _HELPERS)]
+    here_s, helpers_s = (one.ru_utime + one.ru_stime for one in used)
+    return time.perf_counter(), here_s, helpers_s
 
 
 def main() -> None:

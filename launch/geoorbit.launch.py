@@ -14,7 +14,12 @@ from pathlib import Path
 from launch import Action, LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
 from launch.conditions import IfCondition
-from launch.substitutions import LaunchConfiguration, NotEqualsSubstitution, PathJoinSubstitution
+from launch.substitutions import (
+    AndSubstitution,
+    LaunchConfiguration,
+    NotEqualsSubstitution,
+    PathJoinSubstitution,
+)
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
@@ -50,6 +55,12 @@ def generate_launch_description() -> LaunchDescription:
         ),
         DeclareLaunchArgument(
             "timezone", default_value="UTC", description="Of traffic intervals, Europe/Berlin."
+        ),
+        DeclareLaunchArgument(
+            "watch_view", default_value="true", description="Notice when the camera is moved."
+        ),
+        DeclareLaunchArgument(
+            "view_file", default_value="", description="Keep the reference view in this file."
         ),
         DeclareLaunchArgument("rviz", default_value="false", description="Show it in RViz."),
         DeclareLaunchArgument(
@@ -134,6 +145,16 @@ def one_camera_nodes() -> list[Node]:
             namespace=camera_id,
             parameters=[params_file, {"source": source}],
             condition=IfCondition(from_source),
+        ),
+        Node(
+            package=PACKAGE,
+            executable="view_watch",
+            namespace=camera_id,
+            parameters=[
+                params_file,
+                {"calibration_file": calibration, "state_file": LaunchConfiguration("view_file")},
+            ],
+            condition=IfCondition(AndSubstitution(from_source, LaunchConfiguration("watch_view"))),
         ),
         Node(
             package=PACKAGE,

@@ -160,17 +160,27 @@ class BoxProjector:
             TableError: Rows of another dtype, or a stamp not later than the one before.
         """
         self._check_frames(frames)
+        if not len(frames):
+            return Frames(frames.stamp_ns, frames.offset, np.empty(0, dtype=TRACK_DTYPE))
+        doubtful = self.traffic.add(frames)
+        return with_doubts(self.place_block(frames), doubtful)
+
+    def place_block(self, frames: Frames) -> Frames:
+        """As `project_block`, without a look at whether the traffic is what the inputs can show.
+
+        That needs all boxes, and nothing of what is computed here: a second process can do it.
+
+        Args:
+            frames: At least one frame.
+        """
         stamps = frames.stamp_ns
-        if not len(stamps):
-            return Frames(stamps, frames.offset, np.empty(0, dtype=TRACK_DTYPE))
         if self._epoch_ns is None:
             self._epoch_ns = int(stamps[0])
         time_s = (stamps - self._epoch_ns).astype(np.float64) * 1e-9
         period = (time_s / SIZE_PERIOD_S).astype(np.int64)
         sampled = period != np.concatenate(([self._period], period[:-1]))
         self._stamp_ns, self._period = int(stamps[-1]), int(period[-1])
-        doubtful = self.traffic.add(frames)
-        doubtful |= self.doubted or self.calibration_report.doubtful
+        doubtful = self.doubted or self.calibration_report.doubtful
         frame = np.arange(len(stamps)).repeat(frames.offset[1:] - frames.offset[:-1])
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             kept, truncated = self._usable_rows(frames.rows)
@@ -186,7 +196,7 @@ class BoxProjector:
                 place = np.empty(len(kept), dtype=np.intp)
                 place[waves.order] = np.arange(len(kept))
                 place = place[sigma[place] <= self._max_sigma_m]
-                found = _table(rows, cut, doubtful[at], sigma, ground).take(place)
+                found = _table(rows, cut, doubtful, sigma, ground).take(place)
                 frame = at[place]
         self.counts.too_uncertain += len(kept) - len(found)
         self.counts.returned += len(found)
@@ -247,6 +257,13 @@ class BoxProjector:
             raise TableError("tracked boxes", found, "a later stamp")
 
 
+def with_doubts(frames: Frames, doubtful: NDArray[np.bool_]) -> Frames:
+    """Frames of `TRACK_DTYPE`, their rows flagged where a frame (F,) is doubtful."""
+    if doubtful.any():
+        frames.rows["flags"][np.repeat(doubtful, np.diff(frames.offset))] |= FLAG_DOUBTFUL
+    return frames
+
+
 def _columns(rows: NDArray[np.void], names: tuple[str, ...]) -> Array:
     """Columns of a table as (len(names), N) float64."""
     return np.array([rows[name] for name in names], dtype=np.float64)
@@ -260,7 +277,7 @@ def _foot(centre: Array, side: Array) -> Array:
 def _table(
     rows: NDArray[np.void],
     truncated: NDArray[np.bool_],
-    doubtful: NDArray[np.bool_],
+    doubtful: bool,
     sigma: Array,
     ground: GroundRows,
 ) -> NDArray[np.void]:
@@ -272,7 +289,7 @@ def _table(
     out["length"], out["width"] = ground.size[:2]
     out["flags"] = rows["flags"] & np.uint32(FLAG_PREDICTED | FLAG_GROUND_POINT)
     out["flags"] |= np.where(truncated, np.uint32(FLAG_TRUNCATED), np.uint32(0))
-    out["flags"] |= np.where(doubtful, np.uint32(FLAG_DOUBTFUL), np.uint32(0))
+    out["flags"] |= np.uint32(FLAG_DOUBTFUL if doubtful else 0)
     for name in ("score", "class_id", "track_id"):
         out[name] = rows[name]
     return out

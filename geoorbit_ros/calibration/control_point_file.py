@@ -57,7 +57,7 @@ def read_control_points(
         image_size: (width, height) of the camera's images in pixels. Points of a file that says
             another size are scaled to it; pixels in shares of the image are taken times it.
         strict: Whether any fault refuses the file.
-        few: Whether points that fix no plane will do, fewer than four or all on one line.
+        few: Whether points will do that fix no plane.
 
     Raises:
         InputFileError: No such file, no such columns, or with `strict` any fault.
@@ -66,8 +66,7 @@ def read_control_points(
     """
     place = str(path)
     table = read_point_table(split_header(Path(path), EXPECTED), place)
-    known = np.asarray(np.isfinite(table.values).all(axis=1))
-    table.keep(known, "a value that is missing or no number")
+    table.keep(np.isfinite(table.values).min(axis=1), "a value that is missing or no number")
     facts = read_facts(table.comments, place, image_size)
     _repair_pixels(table, facts.image_size or image_size)
     position = _positions(table, datum)

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.core.tables import order_by_id
+
 FORGET_NS = 10_000_000_000
 """An id unseen for 10 s of data time is a new vehicle when it comes back. Chosen: longer joins
 vehicles that share an id, shorter forgets a vehicle behind another."""
@@ -122,7 +124,7 @@ def _order(track_id: NDArray[np.int32]) -> tuple[_Index, list[int], _Index]:
     if len(set(track_id.tolist())) == n:
         every = np.arange(n)
         return every, [0, n], every
-    by_track = np.argsort(track_id, kind="stable")
+    by_track = order_by_id(track_id)
     ids = track_id[by_track]
     new = np.ones(n, dtype=bool)
     new[1:] = (ids[1:] != ids[:-1]) | (ids[1:] < 0)

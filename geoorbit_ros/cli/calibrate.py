@@ -23,7 +23,7 @@ from geoorbit_ros.cli.inputs import (
     stated_image_size,
     with_image_size,
 )
-from geoorbit_ros.cli.place_on_map import Whereabouts, parse_compass, place_on_map
+from geoorbit_ros.cli.place_on_map import place_on_map, whereabouts
 from geoorbit_ros.core.errors import NoTrafficError, ParameterError
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from geoorbit_ros.calibration.datum import Datum
     from geoorbit_ros.calibration.lens import Lens
     from geoorbit_ros.calibration.traffic.estimate import TrafficCalibration
-    from geoorbit_ros.calibration.traffic.model import KnownPoints
+    from geoorbit_ros.calibration.traffic.parameters import KnownPoints
     from geoorbit_ros.core.input_report import InputReport
     from geoorbit_ros.core.tables import Frames
     from geoorbit_ros.storage.tracks.cleaning import ReadOptions
@@ -43,54 +43,64 @@ PICTURE = "calibration.png"
 """Name of the picture, beside the calibration."""
 
 
+OutOption = Annotated[Path, typer.Option("--out", help="Where the calibration goes: a CSV.")]
+CameraArgument = Annotated[
+    str | None,
+    typer.Argument(help="Video file, address of a stream, folder of images, or scene:NAME."),
+]
+TracksOption = Annotated[
+    Path | None,
+    typer.Option("--tracks", help="Tracked boxes in place of images; formats as for lanes."),
+]
+NearOption = Annotated[
+    str | None,
+    typer.Option("--near", metavar="LAT,LON", help="Where the camera stands, roughly."),
+]
+MapOption = Annotated[
+    Path | None,
+    typer.Option("--map", help="Map to find the place on: OpenStreetMap extract or network."),
+]
+NearSigmaOption = Annotated[
+    float, typer.Option("--near-sigma", min=0.1, max=1000.0, help="How exact --near is, metres.")
+]
+LooksOption = Annotated[
+    str | None, typer.Option("--looks", help="Where the camera looks, roughly: NE, or degrees.")
+]
+PointsOption = Annotated[
+    Path | None,
+    typer.Option("--points", help="Control points that you know, even one to three."),
+]
+PictureImageOption = Annotated[
+    str | None, typer.Option("--image", help="Image of the camera, for the picture.")
+]
+PictureOption = Annotated[
+    Path | None,
+    typer.Option("--picture", help=f"Where the picture goes; default: {PICTURE} beside OUT."),
+]
+RateOption = Annotated[
+    float | None,
+    typer.Option("--fps", min=0.01, help="Images per second, where nothing says so."),
+]
+
+
 def calibrate(
-    out: Annotated[Path, typer.Option("--out", help="Where the calibration goes: a CSV.")],
-    source: Annotated[
-        str | None,
-        typer.Argument(help="Video file, address of a stream, folder of images, or scene:NAME."),
-    ] = None,
-    tracks: Annotated[
-        Path | None,
-        typer.Option("--tracks", help="Tracked boxes in place of images; formats as for lanes."),
-    ] = None,
+    out: OutOption,
+    source: CameraArgument = None,
+    tracks: TracksOption = None,
     image_size: ImageSizeOption = None,
-    near: Annotated[
-        str | None,
-        typer.Option("--near", metavar="LAT,LON", help="Where the camera stands, roughly."),
-    ] = None,
-    road_map: Annotated[
-        Path | None,
-        typer.Option("--map", help="Map to find the place on: OpenStreetMap extract or network."),
-    ] = None,
-    near_sigma: Annotated[
-        float,
-        typer.Option("--near-sigma", min=0.1, max=1000.0, help="How exact --near is, metres."),
-    ] = 50.0,
-    looks: Annotated[
-        str | None,
-        typer.Option("--looks", help="Where the camera looks, roughly: NE, or degrees."),
-    ] = None,
-    points: Annotated[
-        Path | None,
-        typer.Option("--points", help="Control points that you know, even one to three."),
-    ] = None,
+    near: NearOption = None,
+    near_sigma: NearSigmaOption = 50.0,
+    looks: LooksOption = None,
+    road_map: MapOption = None,
+    points: PointsOption = None,
     camera_info: CameraInfoOption = None,
-    image: Annotated[
-        str | None,
-        typer.Option("--image", help="Image of the camera, for the picture."),
-    ] = None,
-    picture: Annotated[
-        Path | None,
-        typer.Option("--picture", help=f"Where the picture goes; default: {PICTURE} beside OUT."),
-    ] = None,
+    image: PictureImageOption = None,
+    picture: PictureOption = None,
     model: ModelOption = None,
     class_names: ClassNamesOption = "",
     min_score: MinScoreOption = 0.25,
     duration: DurationOption = None,
-    fps: Annotated[
-        float | None,
-        typer.Option("--fps", min=0.01, help="Images per second, where nothing says so."),
-    ] = None,
+    fps: RateOption = None,
     columns: ColumnsOption = None,
     classes: ClassesOption = "coco",
     strict: StrictOption = False,
@@ -98,7 +108,8 @@ def calibrate(
     """Calibrate a camera from its traffic: focal length, tilt, roll, height and scale.
 
     A minute of traffic does, five are better. The scale is that of vehicles' usual sizes. Look at
-    the picture: the green boxes must stand on the road like the vehicles do.
+    the picture: the green boxes must stand on the road like the vehicles do. With --map and --near
+    the camera is laid on the map, or the places that fit are named.
 
     Example: [bold]geoorbit calibrate north.mp4 --near 43.07,-89.40 --out calibration.csv[/bold]
     """
@@ -116,63 +127,46 @@ def calibrate(
     if picture.suffix.lower() not in (".png", ".jpg", ".jpeg"):
         raise ParameterError("option --picture", str(picture), "a name that ends in .png or .jpg")
     origin = parse_datum(near)
-    where = _where(road_map, origin, near_sigma, looks, points)
+    where = whereabouts(road_map, origin, near_sigma, looks, with_points=points is not None)
     if tracks is not None:
         options = read_options(fps, columns, classes, strict)
         frames, size, report = _read(tracks, image_size, points, options)
         print_remarks(report)
         view = None
     else:
-        assert source is not None
-        frames, size, view = _look(source, fps, duration, model, class_names, min_score)
-    if image is not None:
-        from geoorbit_ros.cli.images import first_view
-
-        view = first_view(image)
-    if view is not None and view.shape[1::-1] != size:
-        shown = f"{view.shape[1]}x{view.shape[0]}"
-        raise ParameterError("option --image", shown, f"{size[0]}x{size[1]}, as the tracks")
+        frames, size, view = _look(str(source), fps, duration, model, class_names, min_score)
+    view = view if image is None else _view(image, size)
     lens, known, datum = _given(points, camera_info, origin, size, strict)
     with status(f"fitting a camera to {len(frames)} frames"):
         camera = calibrate_from_traffic(frames, size, lens=lens, points=known)
         grid = control_grid(camera, datum, str(out))
-    placed, said = known is not None, list[str]()
+    placed, where_said = known is not None, list[str]()
     if where is not None:
         with status("looking for the road on the map"):
-            on_map, said = place_on_map(grid, frames, size, where)
+            on_map, where_said = place_on_map(grid, frames, size, where)
         placed, grid = on_map is not grid, on_map
     write_control_points(out, grid, _comments(camera, placed))
     write_image(picture, draw_traffic_calibration(camera, grid, view))
-    for sentence in [*sentences(camera, grid, placed, known is not None), *said]:
-        console.print(f" {sentence}", soft_wrap=True)
-    console.print(f" Wrote {out} and {picture}: look at the picture.", soft_wrap=True)
+    said = "\n ".join([*sentences(camera, grid, placed, known is not None), *where_said])
+    console.print(f" {said}\n Wrote {out} and {picture}: look at the picture.", soft_wrap=True)
 
 
-def _where(
-    road_map: Path | None,
-    near: Datum | None,
-    near_sigma_m: float,
-    looks: str | None,
-    points: Path | None,
-) -> Whereabouts | None:
-    """What is said of the place on a map; None without a map."""
-    looks_deg = parse_compass(looks)
-    if road_map is None:
-        if looks is not None:
-            raise ParameterError("option --looks", looks, "with --map")
-        return None
-    if points is not None:
-        raise ParameterError("option --map", "--points too", "one: points say where they are")
-    if near is None:
-        raise ParameterError("option --map", "no --near", "--near LAT,LON: where the camera is")
-    return Whereabouts(road_map, near, near_sigma_m, looks_deg)
+def _view(image: str, size: tuple[int, int]) -> NDArray[np.uint8]:
+    """An image of the camera."""
+    from geoorbit_ros.cli.images import first_view
+
+    view = first_view(image)
+    if view.shape[1::-1] != size:
+        shown = f"{view.shape[1]}x{view.shape[0]}"
+        raise ParameterError("option --image", shown, f"{size[0]}x{size[1]}, as the tracks")
+    return view
 
 
 def sentences(
     camera: TrafficCalibration, grid: ControlPoints, placed: bool, with_points: bool
 ) -> list[str]:
     """What was found, and what would make it surer."""
-    from geoorbit_ros.calibration.traffic.model import ROLL, TILT
+    from geoorbit_ros.calibration.traffic.parameters import ROLL, TILT
 
     (focal, focal_s), (height, height_s) = camera.focal_px, camera.height_m
     (view, view_s), (tilt, tilt_s) = camera.field_of_view_deg, camera.degrees(TILT)
@@ -276,7 +270,7 @@ def _given(
     from geoorbit_ros.calibration.camera_info import read_camera_info
     from geoorbit_ros.calibration.control_point_file import read_control_points
     from geoorbit_ros.calibration.plane_fit import GROUND_SIGMA_M, PIXEL_SIGMA
-    from geoorbit_ros.calibration.traffic.model import KnownPoints
+    from geoorbit_ros.calibration.traffic.parameters import KnownPoints
 
     lens = None if camera_info is None else read_camera_info(camera_info).scaled(size)
     if points is None:

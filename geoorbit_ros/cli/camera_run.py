@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 
@@ -28,18 +29,18 @@ from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.core.tables import (
     FLAG_PREDICTED,
     PIXEL_TRACK_DTYPE,
+    TRACK_DTYPE,
     Frames,
     join_frames,
     one_class_each,
     one_frame,
 )
 from geoorbit_ros.detection.detector import doubt_of
-from geoorbit_ros.detection.view_watch import PERIOD_S, ViewChanges
 from geoorbit_ros.lanes.confidence import unconfirmed
 from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.lanes.geojson import write_lanes
 from geoorbit_ros.lanes.mapping.mapper import DEFAULT_UPDATE_PERIOD_S, LaneMapper
-from geoorbit_ros.lanes.pipeline import note_other_classes, project_blocks
+from geoorbit_ros.lanes.pipeline import note_other_classes
 from geoorbit_ros.markings.fusion import follow_paint
 from geoorbit_ros.markings.road_image import SPACING_S, RoadBackground
 from geoorbit_ros.report.image_overlay import ImageOverlay, write_image
@@ -49,6 +50,10 @@ from geoorbit_ros.storage.frames.video_writer import VideoWriter
 from geoorbit_ros.storage.track_csv import write_track_csv
 from geoorbit_ros.tracking.parameters import TrackerParameters
 from geoorbit_ros.tracking.tracker import make_tracker
+from geoorbit_ros.view.compensation import ViewAt, boxes_in_reference, image_in_reference
+from geoorbit_ros.view.looks import MAIN_VIEW
+from geoorbit_ros.view.projection import ViewProjector
+from geoorbit_ros.view.record import ViewRecord
 
 TRACKS_CSV, LANES, REPORT = "tracks.csv", "lanes.geojson", "report.html"
 
@@ -97,9 +102,9 @@ class CameraRun:
         image_size: (width, height) of the images, (0, 0) before the first.
         projector: From boxes to the road; None before the first image.
         seen: Stamp, detections and tracks of every image so far.
-        pictures: Of each view the image with the fewest vehicles, for the report.
+        pictures: Of each view the image with the fewest vehicles, for the report, and their number.
         backgrounds: Of each view the road without vehicles.
-        views: Notices when the camera shows another view.
+        views: How each image lies on its view.
     """
 
     homography: Homography
@@ -108,15 +113,16 @@ class CameraRun:
     image_size: tuple[int, int] = (0, 0)
     projector: BoxProjector | None = None
     seen: list[tuple[int, NDArray[np.void], NDArray[np.void]]] = field(default_factory=list)
-    pictures: list[NDArray[np.uint8]] = field(default_factory=list)
-    backgrounds: list[RoadBackground] = field(default_factory=list)
-    views: ViewChanges = field(default_factory=ViewChanges)
+    pictures: dict[int, tuple[int, NDArray[np.uint8]]] = field(default_factory=dict)
+    backgrounds: dict[int, RoadBackground] = field(default_factory=dict)
+    views: ViewRecord = field(default_factory=ViewRecord)
+    _watched: ViewProjector | None = None
     _looked_ns: int = -(10**18)
 
     def ground_tracks(
         self, images: Iterable[StampedImage], video: Path | None = None, fps: float = 25.0
     ) -> Iterator[Frames]:
-        """Frames of `TRACK_DTYPE`, one for every image.
+        """Frames of `TRACK_DTYPE`, one for every image that shows the first view.
 
         Args:
             images: In time order.
@@ -139,41 +145,62 @@ class CameraRun:
             writer = None
             if video:
                 writer = files.enter_context(closing(VideoWriter(video, fps, self.image_size)))
-            overlay, fewest = ImageOverlay(self.homography), 0
+            overlay = ImageOverlay(self.homography)
             for stamp_ns, image, boxes in chain([first], detected):
                 seen = TrackedImage(stamp_ns, image, boxes, tracker.update(stamp_ns, boxes))
-                self.views.look(stamp_ns, image)
+                at = self.views.add(stamp_ns, image)
                 self.seen.append((seen.stamp_ns, seen.detections, seen.tracks))
-                if len(self.pictures) <= len(self.views.found):
-                    self.pictures.append(image.copy())
-                    self.backgrounds.append(RoadBackground())
-                    fewest = len(boxes)
-                elif len(boxes) < fewest:
-                    self.pictures[-1], fewest = image.copy(), len(boxes)
-                if stamp_ns - self._looked_ns >= SPACING_S * 1e9:
-                    self.backgrounds[-1].add(image)
-                    self._looked_ns = stamp_ns
-                ground = projector.project(seen.stamp_ns, seen.tracks)
+                shown = self._keep_picture(seen, at)
+                if not at.usable or at.view != MAIN_VIEW:
+                    if writer:
+                        writer.write(self._annotated(overlay, seen, np.empty(0, TRACK_DTYPE)))
+                    continue
+                tracks = boxes_in_reference(seen.tracks, at.to_reference, self.image_size)
+                ground = projector.project(stamp_ns, tracks)
                 if writer:
-                    writer.write(self._annotated(overlay, seen, ground))
-                yield one_frame(seen.stamp_ns, ground)
+                    drawn = replace(seen, image=seen.image if shown is None else shown)
+                    writer.write(self._annotated(overlay, replace(drawn, tracks=tracks), ground))
+                yield one_frame(stamp_ns, ground)
 
-    def longest_view(self) -> tuple[int, int, NDArray[np.uint8], RoadBackground]:
-        """First and last stamp of the longest time with one view, a picture of it, its road."""
-        stamps = [stamp_ns for stamp_ns, _, _ in self.seen]
-        edges = [stamps[0], *(stamp_ns for stamp_ns, _ in self.views.found), stamps[-1] + 1]
-        lengths = np.diff(edges)
-        k = int(np.argmax(lengths))
-        # The view changed at some time between two looks.
-        spare_ns = round(PERIOD_S * 1e9) if k < len(self.views.found) else 0
-        last_ns = edges[k + 1] - 1 - spare_ns
-        return edges[k], last_ns, self.pictures[k], self.backgrounds[k]
+    def _keep_picture(self, seen: TrackedImage, at: ViewAt) -> NDArray[np.uint8] | None:
+        """Keep what the report shows of a view; the image as the view shows it."""
+        if not at.usable:
+            return None
+        shown = image_in_reference(seen.image, replace(at, view=MAIN_VIEW))
+        assert shown is not None, "a usable image"
+        fewest, _ = self.pictures.get(at.view, (len(seen.detections) + 1, shown))
+        if len(seen.detections) < fewest:
+            self.pictures[at.view] = (len(seen.detections), shown.copy())
+        if seen.stamp_ns - self._looked_ns >= SPACING_S * 1e9:
+            self.backgrounds.setdefault(at.view, RoadBackground()).add(shown)
+            self._looked_ns = seen.stamp_ns
+        return shown
 
-    def ground_tracks_again(self, first_ns: int, last_ns: int) -> Iterator[Frames]:
-        """Frames of `TRACK_DTYPE` of the images of one view, already seen."""
+    @property
+    def picture(self) -> NDArray[np.uint8] | None:
+        """A picture of the view that lanes are from."""
+        return self.pictures.get(self.views.main_view, (0, None))[1]
+
+    @property
+    def road(self) -> NDArray[np.uint8] | None:
+        """The same without vehicles."""
+        background = self.backgrounds.get(self.views.main_view)
+        return None if background is None else background.image()
+
+    def ground_tracks_again(self) -> Iterator[Frames]:
+        """Frames of `TRACK_DTYPE` of all images that show the view seen longest, each as it lay."""
         self.projector = BoxProjector(self.homography, self.image_size)
-        seen = [(ns, tracks) for ns, _, tracks in self.seen if first_ns <= ns <= last_ns]
-        return project_blocks(join_frames(seen), self.projector)
+        watched = self._watch_again(self.projector)
+        for stamp_ns, _, tracks in self.seen:
+            ground = watched.project(stamp_ns, tracks)
+            if ground is not None:
+                yield one_frame(stamp_ns, ground)
+
+    def _watch_again(self, projector: BoxProjector) -> ViewProjector:
+        self._watched = ViewProjector(projector, memory_s=math.inf)
+        for look in self.views.motions():
+            self._watched.motions.add(look)
+        return self._watched
 
     def settle_classes(self) -> None:
         """Give each track the one class that all of its images together say."""
@@ -185,8 +212,19 @@ class CameraRun:
             rows["class_id"] = kind
 
     def track_frames(self) -> Frames:
-        """Observed tracks, of images that have any: predictions have no place in `tracks.csv`."""
-        kept = [(s, t[(t["flags"] & FLAG_PREDICTED) == 0]) for s, _, t in self.seen]
+        """Observed tracks, of images that have any: predictions have no place in `tracks.csv`.
+
+        Their boxes are where they would be in the calibrated view.
+        """
+        tracks = [(s, t) for s, _, t in self.seen]
+        if self._watched is not None:
+            placed = [(s, t, self._watched.motions.at(s)) for s, t in tracks]
+            tracks = [
+                (s, boxes_in_reference(t, at.to_reference, self.image_size))
+                for s, t, at in placed
+                if at.usable and at.view == MAIN_VIEW
+            ]
+        kept = [(s, t[(t["flags"] & FLAG_PREDICTED) == 0]) for s, t in tracks]
         some = [(stamp_ns, rows) for stamp_ns, rows in kept if len(rows)]
         return join_frames(some)
 
@@ -254,11 +292,11 @@ class CameraJob:
         tracks = self._recording.tee(ground)
         self.lane_map = self._lanes(tracks, images.name)
         self.homography = self.run.homography
-        if self.run.views.found:
+        if self.run.views.eventful:
             self._recording, self.run.mapper = Recording(), self._mapper()
-            again = self.run.ground_tracks_again(*self.run.longest_view()[:2])
+            again = self.run.ground_tracks_again()
             self.lane_map = self._lanes(self._recording.tee(again), images.name)
-        self._road = self.run.longest_view()[3].image()
+        self._road = self.run.road
         self._paint = InputReport(images.name, "images")
         if self._road is not None:
             self.lane_map = follow_paint(
@@ -284,16 +322,18 @@ class CameraJob:
             return LaneMap(run.seen[-1][0], ())
 
     def _note_views(self, remarks: InputReport) -> None:
-        """Say where the view changed, and which part the lanes are from."""
-        run = self.run
-        if not run.views.found:
-            return
-        start_ns = run.seen[0][0]
-        for stamp_ns, sentence in run.views.found:
-            remarks.note(Treatment.NOTED, f"{sentence} from {(stamp_ns - start_ns) / 1e9:.1f} s on")
-        first_s, last_s = ((ns - start_ns) / 1e9 for ns in run.longest_view()[:2])
-        part = f"lanes are from {first_s:.1f} to {last_s:.1f} s, the longest time with one view"
-        remarks.note(Treatment.NOTED, f"{part}: the calibration must be of that view")
+        """Say when the view moved or was another, and which part the lanes are from."""
+        views, start_ns = self.run.views, self.run.seen[0][0]
+
+        def time_text(stamp_ns: int) -> str:
+            return f"{(stamp_ns - start_ns) / 1e9:.1f} s"
+
+        for stretch in views.told:
+            remarks.note(Treatment.NOTED, stretch.sentence(time_text))
+        if views.other_views:
+            first, last = (time_text(ns).removesuffix(" s") for ns in views.span_ns())
+            part = f"lanes are from {first} to {last} s, the longest time with one view"
+            remarks.note(Treatment.NOTED, f"{part}: the calibration must be of that view")
 
     def write(self, folder: Path, images: FrameSource) -> None:
         """Write tracks.csv, lanes.geojson, road.png and report.html of lanes found in images."""
@@ -338,5 +378,5 @@ class CameraJob:
             self.lane_map,
             self._recording,
             method,
-            image=self.run.longest_view()[2],
+            image=self.run.picture,
         )

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from geoorbit_ros.calibration.box_projector import BoxProjector
     from geoorbit_ros.calibration.datum import Datum
     from geoorbit_ros.calibration.homography import Homography
+    from geoorbit_ros.core.frame_spool import AnyFrames, FrameSpool
     from geoorbit_ros.core.input_report import InputReport
     from geoorbit_ros.core.lanes import LaneMap
     from geoorbit_ros.core.tables import Frames
@@ -229,7 +230,7 @@ class CameraInput:
         camera_id: From the option, the bag's topic, or the track file's name.
         source: The CSV file or bag.
         calibration: The control point file.
-        frames: Tracked boxes, `PIXEL_TRACK_DTYPE`.
+        boxes: Tracked boxes, `PIXEL_TRACK_DTYPE`; of a long recording in a file.
         datum: Origin of the map frame.
         input_report: What was done with the rows of the track file or bag.
         projector: From boxes to the road; it has seen no frame before `ground_tracks`.
@@ -240,12 +241,20 @@ class CameraInput:
     camera_id: str
     source: Path
     calibration: Path
-    frames: Frames
+    boxes: AnyFrames
     datum: Datum
     input_report: InputReport
     projector: BoxProjector
     bag_topic: str = ""
     image_reports: list[InputReport] = field(default_factory=list)
+
+    @property
+    def frames(self) -> Frames:
+        """The tracked boxes, all in memory."""
+        from geoorbit_ros.core.tables import Frames
+
+        boxes = self.boxes
+        return boxes if isinstance(boxes, Frames) else boxes.part(0, len(boxes))
 
     @property
     def homography(self) -> Homography:
@@ -277,13 +286,25 @@ class CameraInput:
         self.image_reports.append(report)
         return found, image
 
-    def ground_tracks(self) -> Iterator[Frames]:
-        """Ground tracks in blocks, under a progress bar."""
-        from geoorbit_ros.cli.console import track
-        from geoorbit_ros.lanes.pipeline import BLOCK_ROWS, project_blocks
+    def ground_tracks(self, kept: FrameSpool | None = None) -> Iterator[Frames]:
+        """Ground tracks in blocks, under a progress bar.
 
-        blocks = project_blocks(self.frames, self.projector)
-        return track(blocks, "finding lanes", total=1 + len(self.frames.rows) // BLOCK_ROWS)
+        Args:
+            kept: Takes those of a long recording, which don't fit into memory; it is empty.
+        """
+        from geoorbit_ros.cli.console import track
+        from geoorbit_ros.core.frame_spool import FrameSpool
+        from geoorbit_ros.core.tables import TRACK_DTYPE
+        from geoorbit_ros.lanes.pipeline import BLOCK_ROWS, project_blocks
+        from geoorbit_ros.lanes.projection_helper import project_beside
+
+        if isinstance(self.boxes, FrameSpool):
+            ground = FrameSpool(TRACK_DTYPE) if kept is None else kept
+            blocks = project_beside(self.boxes, self.projector, ground)
+        else:
+            blocks = project_blocks(self.boxes, self.projector)
+        total = 1 + int(self.boxes.offset[-1]) // BLOCK_ROWS
+        return track(blocks, "finding lanes", total=total)
 
 
 def find_lanes(
@@ -334,6 +355,8 @@ def load_camera(
     options: ReadOptions | None = None,
     image: str | None = None,
     camera_info: Path | None = None,
+    *,
+    long: bool = False,
 ) -> CameraInput:
     """Read what the options name; `out` must be none of it.
 
@@ -348,6 +371,7 @@ def load_camera(
         options: What else the user says about the track file.
         image: Option `--image`: boxes are in its pixels where nobody says another size.
         camera_info: Option `--camera-info`.
+        long: Whether boxes of a long recording may stay in a file.
 
     Raises:
         GeoOrbitError: An option, a file or a value in it is wrong.
@@ -358,17 +382,17 @@ def load_camera(
 
     source = _source(tracks, bag, calibration, out)
     options = with_image_size(image_size, options, stated_image_size(calibration))
+    asked = bag is not None, camera_id, long
     with status(f"reading {source}"):
-        name, topic, frames, report = _boxes(source, bag is not None, camera_id, options)
-        view = image or _road_beside(source)
-        if view and not image_size:
+        name, topic, frames, report = _boxes(source, options, *asked)
+        if (view := image or _road_beside(source)) and not image_size:
             from geoorbit_ros.cli.images import first_view
 
             height, width = first_view(view).shape[:2]
-            seen = (width, height)
-            if seen != report.image_size and _reach_within(frames, seen):
+            if (seen := (width, height)) != report.image_size and _reach_within(frames, seen):
                 options = replace(options, default_size=seen)
-                name, topic, frames, report = _boxes(source, bag is not None, camera_id, options)
+                del frames  # two of a long recording don't fit into memory
+                name, topic, frames, report = _boxes(source, options, *asked)
     size = report.image_size or ASSUMED_SIZE
     homography, origin = load_calibration(
         calibration, datum, size, strict=options.strict, camera_info=camera_info
@@ -382,17 +406,20 @@ def load_camera(
 
 
 def _boxes(
-    source: Path, is_bag: bool, camera_id: str | None, options: ReadOptions
-) -> tuple[str, str, Frames, InputReport]:
+    source: Path, options: ReadOptions, is_bag: bool, camera_id: str | None, long: bool
+) -> tuple[str, str, AnyFrames, InputReport]:
     """Name, topic, boxes and report of a track file or a bag."""
+    from geoorbit_ros.storage.tracks.long_csv import spool_tracks, spooled
+    from geoorbit_ros.storage.tracks.reader import read_tracks
+
     if is_bag:
         from geoorbit_ros.storage.track_bag import read_track_bag
 
         content = read_track_bag(source, camera_id, options)
-        return content.camera_id or "camera", content.topic, content.frames, content.report
-    from geoorbit_ros.storage.tracks.reader import read_tracks
-
-    return source.absolute().parent.name or "camera", "", *read_tracks(source, options)
+        boxes = spooled(content.frames) if long else content.frames
+        return content.camera_id or "camera", content.topic, boxes, content.report
+    name = source.absolute().parent.name or "camera"
+    return name, "", *(spool_tracks if long else read_tracks)(source, options)
 
 
 def _road_beside(source: Path) -> str | None:
@@ -401,15 +428,19 @@ def _road_beside(source: Path) -> str | None:
     return str(road) if source.is_file() and road.is_file() else None
 
 
-def _reach_within(frames: Frames, size: tuple[int, int]) -> bool:
+def _reach_within(boxes: AnyFrames, size: tuple[int, int]) -> bool:
     """Whether boxes may be of an image of this size: nearly none reaches beyond it."""
     import numpy as np
 
-    rows = frames.rows
-    if not len(rows):
-        return True
-    ends = (rows["x"] + 0.5 * rows["width"], rows["y"] + 0.5 * rows["height"])
-    reach = [float(np.quantile(end, 0.999)) for end in ends]
+    from geoorbit_ros.lanes.pipeline import BLOCK_ROWS
+
+    reach = []
+    for middle, side in (("x", "width"), ("y", "height")):
+        blocks = boxes.blocks(BLOCK_ROWS)
+        ends = [block.rows[middle] + 0.5 * block.rows[side] for block in blocks]
+        if not ends:
+            return True
+        reach.append(float(np.quantile(np.concatenate(ends), 0.999)))
     return all(end <= REACH_BEYOND * side for end, side in zip(reach, size, strict=True))
 
 

@@ -63,9 +63,8 @@ def lanes(
     from geoorbit_ros.storage.atomic import atomic_output
 
     options = read_options(fps, columns, classes, strict)
-    camera = load_camera(
-        tracks, bag, calibration, camera_id, image_size, datum, out, options, image, camera_info
-    )
+    named = (camera_id, image_size, datum, out, options, image, camera_info)
+    camera = load_camera(tracks, bag, calibration, *named, long=True)
     recording = Recording()
     with atomic_output(out) as path:
         ground = camera.ground_tracks()

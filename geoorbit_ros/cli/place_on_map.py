@@ -60,6 +60,31 @@ def parse_compass(text: str | None) -> float | None:
     return degrees % 360.0
 
 
+def whereabouts(
+    road_map: Path | None,
+    near: Datum | None,
+    near_sigma_m: float,
+    looks: str | None,
+    *,
+    with_points: bool,
+) -> Whereabouts | None:
+    """What is said of the place on a map; None without a map.
+
+    Raises:
+        ParameterError: Options that need others, or contradict them.
+    """
+    looks_deg = parse_compass(looks)
+    if road_map is None:
+        if looks is not None:
+            raise ParameterError("option --looks", looks, "a map, too: --map")
+        return None
+    if with_points:
+        raise ParameterError("option --map", "--points, too", "one: points say where they are")
+    if near is None:
+        raise ParameterError("option --map", "no --near", "--near LAT,LON: where the camera is")
+    return Whereabouts(road_map, near, near_sigma_m, looks_deg)
+
+
 def place_on_map(
     points: ControlPoints, frames: Frames, image_size: tuple[int, int], where: Whereabouts
 ) -> tuple[ControlPoints, list[str]]:

@@ -177,7 +177,7 @@ def _traffic(camera: CameraInput, lane_map: LaneMap, recording: Recording) -> Tr
     counter = TrafficCounter(lane_map.lanes, camera.homography)
     clock = IntervalClock(INTERVAL_S, time_zone(None))
     with status("counting vehicles"):
-        recorded = record(counter, [recording.frames()], usual_gap_s(camera.frames))
+        recorded = record(counter, [recording.frames()], usual_gap_s(camera.boxes))
         return traffic_content(camera.camera_id, recorded, SCHEMES["coco"], clock, recording.frames)
 
 

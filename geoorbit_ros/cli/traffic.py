@@ -142,7 +142,7 @@ def traffic(
             raise ParameterError("option --calibration", "nothing", "a file of control points")
         options = read_options(fps, columns, classes, strict)
         named = (camera_id, image_size, datum, out, options, image, camera_info)
-        camera = load_camera(tracks, bag, calibration, *named)
+        camera = load_camera(tracks, bag, calibration, *named, long=True)
         source = source_of_camera(camera, lanes, estimator, update_period_s, image)
     with atomic_output(out, overwrite=force) as folder:
         folder.mkdir()

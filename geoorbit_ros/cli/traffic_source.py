@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,11 +15,12 @@ if TYPE_CHECKING:
     from geoorbit_ros.calibration.datum import Datum
     from geoorbit_ros.calibration.plane import RoadPlane
     from geoorbit_ros.cli.inputs import CameraInput
+    from geoorbit_ros.core.frame_spool import AnyFrames
     from geoorbit_ros.core.input_report import InputReport
     from geoorbit_ros.core.lanes import LaneMap
     from geoorbit_ros.core.tables import Frames
     from geoorbit_ros.lanes.geojson import LaneFile
-    from geoorbit_ros.traffic.count import Recorded
+    from geoorbit_ros.traffic.count import BlockSource, Recorded
     from geoorbit_ros.traffic.interval_clock import IntervalClock
     from geoorbit_ros.traffic.lane_maps import LanesAt, StampedLanes
     from geoorbit_ros.traffic.stations import StationPlace
@@ -42,6 +44,7 @@ class TrafficSource:
         files: Names and values for the report: where tracks and lanes came from.
         first_ns: Stamp of the first frame, where the lanes may change over time.
         lanes_at: The map of the time; None: `lane_map` counts for all of it.
+        beside: The ground tracks for a second process; None: there are too few for one.
     """
 
     camera_id: str
@@ -57,6 +60,7 @@ class TrafficSource:
     files: tuple[tuple[str, str], ...] = ()
     first_ns: int = 0
     lanes_at: LanesAt | None = None
+    beside: BlockSource | None = None
 
     def count(
         self, clock: IntervalClock | None = None, place: StationPlace | None = None
@@ -94,7 +98,7 @@ class TrafficSource:
                     done += len(frames)
                     tell("counting vehicles", min(done / max(self.frame_count, 1), 1.0))
 
-            return record(counter, told(), self.max_gap_s, choice, first)
+            return record(counter, told(), self.max_gap_s, choice, first, self.beside)
 
 
 def source_of_camera(
@@ -106,15 +110,24 @@ def source_of_camera(
 ) -> TrafficSource:
     """The traffic of a file of tracks or a bag."""
     from geoorbit_ros.cli.console import read_lanes_aloud
-    from geoorbit_ros.core.tables import frames_between
+    from geoorbit_ros.core.frame_spool import FrameSpool
+    from geoorbit_ros.core.tables import TRACK_DTYPE, join_blocks
     from geoorbit_ros.lanes.geojson import write_lanes
+    from geoorbit_ros.traffic.count import BLOCK_ROWS
     from geoorbit_ros.traffic.interval_clock import usual_gap_s
 
-    ground = list(camera.ground_tracks())
+    kept: AnyFrames
+    if isinstance(camera.boxes, FrameSpool):
+        kept = FrameSpool(TRACK_DTYPE)
+        ground = camera.ground_tracks(kept)
+    else:
+        kept = join_blocks(list(camera.ground_tracks()))
+        ground = iter([kept])
     if lanes:
         lane_map = read_lanes_aloud(lanes, camera.datum).lane_map
+        deque(ground, maxlen=0)
     else:
-        lane_map = camera.find_lanes(iter(ground), make_mapper(estimator, update_period_s))
+        lane_map = camera.find_lanes(ground, make_mapper(estimator, update_period_s))
     if image and not lanes:
         lane_map, _ = camera.follow_paint(lane_map, image)
 
@@ -127,16 +140,17 @@ def source_of_camera(
         write,
         camera.datum,
         camera.homography,
-        lambda: iter(ground),
-        lambda first_ns, last_ns: frames_between(ground, first_ns, last_ns),
-        len(camera.frames),
-        usual_gap_s(camera.frames),
+        lambda: kept.blocks(BLOCK_ROWS),
+        kept.between,
+        len(camera.boxes),
+        usual_gap_s(camera.boxes),
         camera.reports,
         (
             ("Tracks", camera.source.name),
             ("Control points", camera.calibration.name),
             ("Lanes", lanes.name if lanes else estimator),
         ),
+        beside=kept if isinstance(kept, FrameSpool) else None,
     )
 
 
@@ -150,8 +164,10 @@ def source_of_database(
     """
     from geoorbit_ros.cli.console import read_lanes_aloud
     from geoorbit_ros.cli.inputs import read_plane
+    from geoorbit_ros.core.frame_spool import SPOOLED_ROWS
     from geoorbit_ros.lanes.geojson import parse_lane_file, write_lanes
     from geoorbit_ros.storage.database.reader import TrajectoryReader
+    from geoorbit_ros.traffic.count import BLOCK_ROWS
     from geoorbit_ros.traffic.interval_clock import GAP_S
 
     with TrajectoryReader(database) as reader:
@@ -166,9 +182,7 @@ def source_of_database(
     assert file is not None
     plane = read_plane(calibration, file.datum) if calibration else None
 
-    def blocks() -> Iterator[Frames]:
-        with TrajectoryReader(database) as reader:
-            yield from reader.batches(name)
+    tracks = DatabaseTracks(database, name)
 
     def frames_between(first_ns: int, last_ns: int) -> Frames:
         with TrajectoryReader(database) as reader:
@@ -189,7 +203,7 @@ def source_of_database(
         write,
         file.datum,
         plane,
-        blocks,
+        lambda: tracks.blocks(BLOCK_ROWS),
         frames_between,
         cameras[name].frames if name in cameras else 0,
         GAP_S,
@@ -197,7 +211,37 @@ def source_of_database(
         files,
         cameras[name].start_ns if name in cameras else 0,
         None if over_time is None else over_time.lanes_at,
+        tracks if name in cameras and cameras[name].rows > SPOOLED_ROWS else None,
     )
+
+
+@dataclass(frozen=True, slots=True)
+class DatabaseTracks:
+    """The ground tracks of a camera in a trajectory database.
+
+    Attributes:
+        database: The recorder's file.
+        camera_id: Whose.
+    """
+
+    database: Path
+    camera_id: str
+
+    def blocks(self, rows: int) -> Iterator[Frames]:
+        """All frames, about so many rows together."""
+        from geoorbit_ros.core.tables import Frames, join_blocks
+        from geoorbit_ros.storage.database.reader import TrajectoryReader
+
+        with TrajectoryReader(self.database) as reader:
+            waiting, count = list[Frames](), 0
+            for batch in reader.batches(self.camera_id):
+                waiting.append(batch)
+                count += len(batch.rows)
+                if count >= rows:
+                    yield join_blocks(waiting)
+                    waiting, count = [], 0
+            if waiting:
+                yield join_blocks(waiting)
 
 
 def _only_camera(database: Path, known: list[str]) -> str:

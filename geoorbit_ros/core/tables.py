@@ -106,12 +106,14 @@ class Frames:
 
     def blocks(self, rows: int) -> Iterator[Frames]:
         """Consecutive frames, as many together as have no more than `rows` rows, at least one."""
-        first = 0
-        while first < len(self):
-            limit = self.offset[first] + rows
-            last = max(first + 1, int(np.searchsorted(self.offset, limit, side="right")) - 1)
+        for first, last in bounds_of_blocks(self.offset, rows):
             yield self.part(first, last)
-            first = last
+
+    def between(self, first_ns: int, last_ns: int) -> Frames:
+        """Frames from one stamp to another, both included, views."""
+        first = int(np.searchsorted(self.stamp_ns, first_ns))
+        last = int(np.searchsorted(self.stamp_ns, last_ns, side="right"))
+        return self.part(first, max(first, last))
 
     def tables(self) -> Iterator[tuple[int, NDArray[np.void]]]:
         """Stamp and rows of each frame, views."""
@@ -122,6 +124,16 @@ class Frames:
     def row_stamp_ns(self) -> NDArray[np.int64]:
         """(N,) stamp of each row."""
         return np.repeat(self.stamp_ns, np.diff(self.offset))
+
+
+def bounds_of_blocks(offset: NDArray[np.int64], rows: int) -> Iterator[tuple[int, int]]:
+    """First and behind-the-last frame of each block; see `Frames.blocks`."""
+    first = 0
+    while first < len(offset) - 1:
+        limit = offset[first] + rows
+        last = max(first + 1, int(np.searchsorted(offset, limit, side="right")) - 1)
+        yield first, last
+        first = last
 
 
 def one_frame(stamp_ns: int, rows: NDArray[np.void]) -> Frames:
@@ -154,11 +166,16 @@ def frames_between(
             high = int(np.searchsorted(block.stamp_ns, last_ns, side="right"))
         if low < high:
             parts.append(block.part(low, high))
-    counts = [np.diff(part.offset) for part in parts]
+    return join_blocks(parts)
+
+
+def join_blocks(blocks: Sequence[Frames], dtype: np.dtype[np.void] = TRACK_DTYPE) -> Frames:
+    """Blocks of frames of a dtype in time order as one."""
+    counts = [np.diff(block.offset) for block in blocks]
     return Frames(
-        np.concatenate([np.empty(0, np.int64), *(part.stamp_ns for part in parts)]),
+        np.concatenate([np.empty(0, np.int64), *(block.stamp_ns for block in blocks)]),
         np.append(0, np.cumsum(np.concatenate([np.empty(0, np.int64), *counts]))),
-        np.concatenate([np.empty(0, TRACK_DTYPE), *(part.rows for part in parts)]),
+        np.concatenate([np.empty(0, dtype), *(block.rows for block in blocks)], dtype=dtype),
     )
 
 
@@ -167,6 +184,27 @@ def frames_from_rows(stamp_ns: NDArray[np.int64], rows: NDArray[np.void]) -> Fra
     order = np.argsort(stamp_ns, kind="stable")
     stamps, start = np.unique(stamp_ns[order], return_index=True)
     return Frames(stamps, np.append(start, len(rows)).astype(np.int64), rows[order])
+
+
+def order_by_id(track_id: NDArray[np.int32]) -> NDArray[np.intp]:
+    """(N,) order in which the rows of each track stand together, each track's as they came."""
+    if len(track_id) > 1:
+        low = int(track_id.min())
+        if int(track_id.max()) - low <= np.iinfo(np.uint16).max:
+            # Numbers of 16 bits are sorted digit by digit, in a fifth of the time.
+            track_id = (track_id.astype(np.int64) - low).astype(np.uint16)
+    return np.argsort(track_id, kind="stable")
+
+
+def distinct(numbers: NDArray[np.int32]) -> NDArray[np.int64]:
+    """The different ones of (N,) numbers, increasing."""
+    low = int(numbers.min(initial=2**31 - 1))
+    span = int(numbers.max(initial=low)) - low + 1
+    if span > 2 * len(numbers) + 1000:  # a table of what is there would be longer than the numbers
+        return np.unique(numbers).astype(np.int64)
+    there = np.zeros(span, np.bool_)
+    there[numbers.astype(np.int64) - low] = True
+    return np.flatnonzero(there) + low
 
 
 def one_class_each(rows: NDArray[np.void]) -> NDArray[np.int64]:

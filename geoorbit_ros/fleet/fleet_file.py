@@ -28,7 +28,7 @@ MAX_CAMERAS = 1000
 """Chosen: each camera is a process of one host; more is taken for a mistake in the file."""
 
 CAMERA_NODES = (
-    *("bag_player", "camera", "detector", "tracker"),
+    *("bag_player", "camera", "view_watch", "detector", "tracker"),
     *("homography", "lane_geometry", "recorder", "traffic", "meta_client", "overlay"),
 )
 """Nodes in a camera's namespace, in the order in which data goes through them."""
@@ -87,6 +87,20 @@ class Position(StrictModel):
     longitude_deg: float = Field(ge=-180.0, le=180.0)
 
 
+class View(StrictModel):
+    """A preset of a PTZ camera beside its first one, which has a calibration of its own.
+
+    Attributes:
+        name: Of the preset.
+        calibration: Its control points, a CSV file.
+        image: A picture of the view, in the size of the camera's images.
+    """
+
+    name: Identifier
+    calibration: FilePath
+    image: FilePath
+
+
 class Camera(StrictModel):
     """One camera and what is done with its images.
 
@@ -108,6 +122,8 @@ class Camera(StrictModel):
         timezone: IANA name of the time zone on whose clock its traffic is counted.
         repeat: Whether a recording starts again at its end.
         enabled: Whether it is started.
+        watch_view: Whether its images are held against a reference view, so that a move is told.
+        views: Presets of a PTZ camera beside the one of `calibration`.
         parameters: Values that go before the nodes' defaults.
     """
 
@@ -124,6 +140,8 @@ class Camera(StrictModel):
     timezone: str = "UTC"
     repeat: bool = True
     enabled: bool = True
+    watch_view: bool = True
+    views: list[View] = Field(default=[])
     parameters: Overrides = Field(default={})
 
     @property

@@ -77,6 +77,9 @@ COLUMNS = (
     Column("vehicles", "vehicles", (("homography", "vehicles"), ("tracker", "tracks_alive"))),
     Column("lanes_confirmed", "lanes", (("lane_geometry", "lanes_confirmed"),)),
     Column("lanes_tentative", "tent.", (("lane_geometry", "lanes_tentative"),)),
+    Column("view", "view", (("view_watch", "state"),)),
+    Column("view_event", "", (("view_watch", "last_event"),)),
+    Column("view_moved_px", "", (("view_watch", "moved_px"),)),
     Column("parameters", "θ", (("lane_geometry", "parameter_version"),)),
     Column("round", "round", (("meta_client", "round"),)),
 )

@@ -203,6 +203,9 @@ def camera_nodes(
     if camera.datum:
         wiring["homography"]["datum_latitude_deg"] = camera.datum.latitude_deg
         wiring["homography"]["datum_longitude_deg"] = camera.datum.longitude_deg
+    if camera.views:
+        files = " ".join(f"{view.name}={base / view.calibration}" for view in camera.views)
+        wiring["homography"]["view_calibrations"] = files
     if camera.kind == "bag":
         bag = str(base / camera.source.partition(":")[2])
         wiring["bag_player"] = {
@@ -218,18 +221,37 @@ def camera_nodes(
         model = _model(camera, base)
         wiring["tracker"] = dict(size)
         wiring["detector"] = {"model": model}
-        wiring["camera"] = {"source": image_source(camera, base)}
-        if camera.password_file is not None:
-            wiring["camera"]["password_file"] = str(base / camera.password_file)
-        if camera.password_variable is not None:
-            wiring["camera"]["password_variable"] = camera.password_variable
-        if camera.kind != "stream":
-            # One that plays once stays when it is done: its lanes are still asked for.
-            wiring["camera"] |= {"loop": camera.repeat, "start_time_s": 0.0}
-            wiring["camera"] |= {"exit_when_done": False}
+        if camera.watch_view:
+            wiring["view_watch"] = _view_watch(camera, base, state, seen["calibration_file"])
+        wiring["camera"] = _images(camera, base)
     for executable, values in wiring.items():
         given = _beside(executable, camera.parameters.get(executable, {}), base)
         yield NodePlan(executable, camera.id, values | given)
+
+
+def _images(camera: Camera, base: Path) -> dict[str, Value]:
+    """Parameters of the node that reads a camera's images."""
+    values: dict[str, Value] = {"source": image_source(camera, base)}
+    if camera.password_file is not None:
+        values["password_file"] = str(base / camera.password_file)
+    if camera.password_variable is not None:
+        values["password_variable"] = camera.password_variable
+    if camera.kind != "stream":
+        # One that plays once stays when it is done: its lanes are still asked for.
+        values |= {"loop": camera.repeat, "start_time_s": 0.0, "exit_when_done": False}
+    return values
+
+
+def _view_watch(
+    camera: Camera, base: Path, state: Path, calibration_file: Value
+) -> dict[str, Value]:
+    """Parameters of the node that holds a camera's images against its views."""
+    return {
+        "calibration_file": calibration_file,
+        "state_file": str(state / "views.npz"),
+        "view_images": " ".join(f"{view.name}={base / view.image}" for view in camera.views),
+        "repeats_allowed": camera.kind != "stream" and camera.repeat,
+    }
 
 
 def plugin_kind(executable: str, parameter: str) -> str:
@@ -350,6 +372,7 @@ def missing_files(fleet: Fleet, base: Path) -> dict[str, list[Path]]:
             continue
         named = (camera.calibration, camera.camera_info, camera.password_file)
         own = [file for file in named if file is not None]
+        own += [file for view in camera.views for file in (view.calibration, view.image)]
         files[camera.id] = own
         if camera.model is not None and str(camera.model) not in registered("detector"):
             own.append(Path(plugin_file(str(camera.model))))

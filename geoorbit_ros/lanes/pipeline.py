@@ -14,9 +14,16 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.core.class_names import class_text
 from geoorbit_ros.core.errors import NoTrafficError
+from geoorbit_ros.core.frame_spool import AnyFrames
 from geoorbit_ros.core.input_report import InputReport, Treatment
 from geoorbit_ros.core.lanes import LaneMap
-from geoorbit_ros.core.tables import VEHICLE_CLASS_TEXT, VEHICLE_CLASSES, Frames, one_frame
+from geoorbit_ros.core.tables import (
+    VEHICLE_CLASS_TEXT,
+    VEHICLE_CLASSES,
+    Frames,
+    distinct,
+    one_frame,
+)
 from geoorbit_ros.lanes.mapping.mapper import LaneMapper
 
 
@@ -51,20 +58,30 @@ StampedRows = tuple[int, NDArray[np.void]]
 """Capture time in nanoseconds and the rows of one frame."""
 
 
-def note_other_classes(report: InputReport, frames: Frames) -> None:
+BLOCK_ROWS = 400_000
+"""Rows that are projected together at most: 15 minutes of a busy road. Chosen: more take more
+memory (0.7 kB a row), fewer more time."""
+
+
+def note_other_classes(report: InputReport, frames: AnyFrames) -> None:
     """Say how many tracks make no lane because their class, in most frames, is no vehicle's.
 
     Args:
         report: Takes the remark.
         frames: Frames of `PIXEL_TRACK_DTYPE`.
     """
-    if not len(frames.rows):
+    blocks = frames.blocks(BLOCK_ROWS)
+    if all(np.isin(block.rows["class_id"], VEHICLE_CLASSES).all() for block in blocks):
         return
-    ids, owner = np.unique(frames.rows["track_id"], return_inverse=True)
-    classes, kind = np.unique(frames.rows["class_id"], return_inverse=True)
-    votes = np.zeros((len(ids), len(classes)), np.int64)
-    np.add.at(votes, (owner, kind), 1)
-    usual = classes[votes.argmax(axis=1)]
+    votes = list[NDArray[np.int64]]()
+    for block in frames.blocks(BLOCK_ROWS):
+        pairs = np.stack((block.rows["track_id"], block.rows["class_id"])).astype(np.int64)
+        votes.append(np.array(np.unique(pairs[0] << 32 | pairs[1] + 2**31, return_counts=True)))
+    key, place = np.unique(np.concatenate([part[0] for part in votes]), return_inverse=True)
+    count = np.bincount(place, np.concatenate([part[1] for part in votes]))
+    track_id, kind = key >> 32, (key & (2**32 - 1)) - 2**31
+    order = np.lexsort((kind, -count, track_id))
+    usual = kind[order][np.diff(track_id[order], prepend=-(2**40)) != 0]
     other = usual[~np.isin(usual, VEHICLE_CLASSES)]
     if not len(other):
         return
@@ -75,13 +92,8 @@ def note_other_classes(report: InputReport, frames: Frames) -> None:
     )
     report.note(
         Treatment.NOTED,
-        f"{len(other)} of {len(ids)} tracks make no lane, as they are no motor vehicles: {named}",
+        f"{len(other)} of {len(usual)} tracks make no lane, as they are no motor vehicles: {named}",
     )
-
-
-BLOCK_ROWS = 250_000
-"""Rows that are projected together at most: ten minutes of a busy road. Chosen: more take more
-memory (0.7 kB a row), fewer more time."""
 
 
 def project_blocks(
@@ -133,11 +145,10 @@ def map_blocks(blocks: Iterable[Frames], mapper: LaneMapper, place: str = "track
     """
     frame_count, ids, classes = 0, set[int](), set[int]()
     for block in blocks:
-        for stamp_ns, rows in block.tables():
-            mapper.add(stamp_ns, rows)
+        mapper.add_block(block)
         frame_count += len(block)
-        ids.update(block.rows["track_id"].tolist())
-        classes.update(block.rows["class_id"].tolist())
+        ids.update(distinct(block.rows["track_id"]).tolist())
+        classes.update(distinct(block.rows["class_id"]).tolist())
     if not ids:
         found = f"{frame_count} frames without a vehicle on the road"
         raise NoTrafficError(place, found, "vehicles driving by")

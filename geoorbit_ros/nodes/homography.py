@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -17,10 +17,11 @@ from std_msgs.msg import Float64MultiArray
 from geoorbit_ros.calibration.box_projector import BoxProjector
 from geoorbit_ros.calibration.camera_info import behind_lens, lens_of, read_calibration
 from geoorbit_ros.calibration.control_points import ControlPoints
-from geoorbit_ros.calibration.datum import given_datum
-from geoorbit_ros.calibration.homography import fit_homography
+from geoorbit_ros.calibration.datum import Datum, given_datum
+from geoorbit_ros.calibration.homography import Homography, fit_homography
 from geoorbit_ros.conversions import (
     datum_to_fix,
+    decode_table,
     encode_pose_array,
     encode_table,
     plane_message,
@@ -30,9 +31,12 @@ from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.nodes.support.process import run_node
-from geoorbit_ros.nodes.support.qos import LATCHED, stream_qos
+from geoorbit_ros.nodes.support.qos import LATCHED, LOOKS, stream_qos
 from geoorbit_ros.nodes.support.road_paint import PLANE_TOPIC
 from geoorbit_ros.nodes.support.table_stream import TableStream
+from geoorbit_ros.view.looks import VIEW_DTYPE, look_of
+from geoorbit_ros.view.memory import named_files
+from geoorbit_ros.view.projection import ViewProjector
 
 INFO_TOPIC = "camera_info"
 AFTER_STAMP = 12
@@ -57,13 +61,14 @@ class HomographyParameters:
     reliability: str
     queue_depth: int
     restart_jump_s: float
+    view_calibrations: str
 
 
 class HomographyNode(GeoOrbitNode[HomographyParameters]):
-    """From `tracks_px` and `camera_info`: `tracks`, `vehicles`; latched: `datum`, `road_plane`.
+    """From `tracks_px`, `view`, `camera_info`: `tracks`, `vehicles`; `datum` and plane are latched.
 
     Every frame of `tracks_px` that can be used becomes one frame of `tracks` with its stamp, also
-    when no vehicle is left in it.
+    when no vehicle is left in it. Frames that show no calibrated view become none.
 
     Raises:
         GeoOrbitError: A parameter or the calibration file can't be used.
@@ -82,8 +87,10 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
         expected = "parameters datum_latitude_deg and datum_longitude_deg: where (0, 0) is"
         origin = points.need_datum(expected)
         self._plane = self.create_publisher(Float64MultiArray, PLANE_TOPIC, LATCHED)
+        self._others = self._other_views(origin, place)
         self._calibrate(points)
         self.diagnostics.add_check(self._doubt)
+        self.diagnostics.add_check(self._view_fault)
 
         qos = stream_qos(p.reliability, p.queue_depth)
         self.tracks = self.create_publisher(PointCloud2, "tracks", qos)
@@ -96,18 +103,16 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
             CameraInfo, INFO_TOPIC, self._on_camera_info, qos_profile_sensor_data, raw=True
         )
         TableStream(self, "tracks_px", PIXEL_TRACK_DTYPE, p, self._on_frame, self._restart)
+        self._view_topic = self.resolve_topic_name("view")
+        self.create_subscription(PointCloud2, "view", self._on_view, LOOKS, raw=True)
 
     def _calibrate(self, points: ControlPoints) -> None:
         """Fit the road plane, tell what is to be said about it, and publish it."""
         p = self.p
         size = (p.image_width, p.image_height)
         self._homography = fit_homography(points, p.pixel_sigma, p.ground_sigma_m)
-        self._projector = BoxProjector(
-            self._homography,
-            size,
-            reject_truncated=p.reject_truncated,
-            max_sigma_m=p.max_sigma_m,
-        )
+        self._projector = self._projector_of(self._homography)
+        self._views = ViewProjector(self._projector, self._others)
         for sentence in self._homography.describe_residuals():
             self.get_logger().info(sentence)
         for sentence in self._projector.calibration_report.sentences():
@@ -117,7 +122,7 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
         self._plane.publish(plane_message(self._homography, size))
 
     def _restart(self) -> None:
-        self._projector.reset()
+        self._views.reset()
 
     def _on_camera_info(self, cdr: bytes) -> None:
         """Take the lens of the first one, where no file says it; tell when it is another one."""
@@ -156,10 +161,17 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
         return {
             "vehicles": self._on_road,
             "tracks_subscribers": readers,
+            "frames_left_out_by_view": self._views.left_out,
             **counts,
             "remarks": remarks,
             **errors,
         }
+
+    @property
+    def views_until_ns(self) -> int:
+        """Stamp of the latest look at the view; 0 before the first."""
+        look = self._views.motions.latest
+        return look.stamp_ns if look else 0
 
     def _sentences(self, *, doubts: bool = False) -> Iterator[str]:
         """What was done with the control points, and what speaks against the inputs."""
@@ -170,13 +182,57 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
         """Lanes are not confirmed while this says something."""
         return "; ".join(self._sentences(doubts=True)) or None
 
+    def _projector_of(self, plane: Homography) -> BoxProjector:
+        p = self.p
+        return BoxProjector(
+            plane,
+            (p.image_width, p.image_height),
+            reject_truncated=p.reject_truncated,
+            max_sigma_m=p.max_sigma_m,
+        )
+
+    def _other_views(self, origin: Datum, place: str) -> dict[int, BoxProjector]:
+        """Projectors of a PTZ camera's other presets, by the number of the view."""
+        p = self.p
+        size = (p.image_width, p.image_height)
+        named = named_files(p.view_calibrations, f"{place}, parameter 'view_calibrations'")
+        return {
+            number: self._projector_of(
+                fit_homography(
+                    read_calibration(str(file), p.camera_info_file, origin, image_size=size),
+                    p.pixel_sigma,
+                    p.ground_sigma_m,
+                )
+            )
+            for number, file in enumerate(named.values(), 1)
+        }
+
+    def _view_fault(self) -> str | None:
+        """Why there are no tracks, while the image shows no calibrated view."""
+        look = self._views.motions.latest
+        if look is None or self._views.shows(look):
+            return None
+        state = look.state.name.lower().replace("_", " ")
+        return f"no tracks, lanes are held: the view is {state} (node view_watch says why)"
+
     def _on_frame(self, stamp_ns: int, rows: NDArray[np.void]) -> None:
-        ground = self._projector.project(stamp_ns, rows)
-        self._on_road = len(ground)
+        self._publish(self._views.take(stamp_ns, rows))
+
+    def _on_view(self, cdr: bytes) -> None:
+        try:
+            stamp_ns, _, rows = decode_table(cdr, VIEW_DTYPE, self._view_topic)
+            self._publish(self._views.look(look_of(stamp_ns, rows, self._view_topic)))
+        except GeoOrbitError as error:
+            self.diagnostics.refuse(error)
+
+    def _publish(self, frames: Iterable[tuple[int, NDArray[np.void]]]) -> None:
         frame_id = self.p.frame_id
-        self.publish_stream(self.tracks, encode_table(stamp_ns, frame_id, ground))
-        if self._vehicles.get_subscription_count():
-            self._vehicles.publish(encode_pose_array(stamp_ns, frame_id, *vehicle_poses(ground)))
+        for stamp_ns, ground in frames:
+            self._on_road = len(ground)
+            self.publish_stream(self.tracks, encode_table(stamp_ns, frame_id, ground))
+            if self._vehicles.get_subscription_count():
+                poses = vehicle_poses(ground)
+                self._vehicles.publish(encode_pose_array(stamp_ns, frame_id, *poses))
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -11,20 +11,26 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
+from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 
-from geoorbit_ros.conversions import decode_string
+from geoorbit_ros.conversions import decode_string, decode_table
 from geoorbit_ros.core.errors import GeoOrbitError, MessageError, ParameterError
 from geoorbit_ros.core.tables import TRACK_DTYPE
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.nodes.support.process import run_node
-from geoorbit_ros.nodes.support.qos import LATCHED_ALL
+from geoorbit_ros.nodes.support.qos import LATCHED_ALL, LOOKS
 from geoorbit_ros.nodes.support.table_stream import TableStream
+from geoorbit_ros.storage.database.reader import ViewEvent
 from geoorbit_ros.storage.database.writer import TrajectoryDatabase
 from geoorbit_ros.storage.ownership import Ownership
+from geoorbit_ros.view.looks import VIEW_DTYPE, look_of
+from geoorbit_ros.view.timeline import ViewStretch, ViewTimeline
 
 FLUSH_PERIOD_S = 0.5
 """A kill costs less than a second, also when the camera has fallen silent."""
+VIEWS_AT_ONCE = 16
+"""Stretches of the view's history that may change or be new between two flushes."""
 DAY_NS = 86_400_000_000_000
 """Nanoseconds of a day."""
 
@@ -42,7 +48,7 @@ class RecorderParameters:
 
 
 class RecorderNode(GeoOrbitNode[RecorderParameters]):
-    """Subscribes `tracks` and `lanes/geojson` of its namespace; appends both to the database.
+    """Subscribes `tracks`, `lanes/geojson`, `view` of its namespace; appends them to the database.
 
     Frames that are already in the database, as when a bag is played again, are refused.
     """
@@ -57,6 +63,7 @@ class RecorderNode(GeoOrbitNode[RecorderParameters]):
             place = f"node '{self.get_fully_qualified_name()}', parameter 'camera_id'"
             raise ParameterError(place, "nothing, in the root namespace", "the camera's name")
         self._newest_ns = self.lane_maps = 0
+        self._views, self._stored = ViewTimeline(), list[ViewStretch]()
         database = Path(self.p.database)
         self._database = TrajectoryDatabase(database)
         lock = database.with_name(f".{database.name}.{self._camera.replace('/', '.')}.lock")
@@ -68,6 +75,8 @@ class RecorderNode(GeoOrbitNode[RecorderParameters]):
         TableStream(self, "tracks", TRACK_DTYPE, self.p, self._on_frame, lambda: None)
         self._geojson_topic = self.resolve_topic_name("lanes/geojson")
         self.create_subscription(String, "lanes/geojson", self._on_lanes, LATCHED_ALL, raw=True)
+        self._view_topic = self.resolve_topic_name("view")
+        self.create_subscription(PointCloud2, "view", self._on_view, LOOKS, raw=True)
         self.create_timer(
             FLUSH_PERIOD_S, self._maintain, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
@@ -76,6 +85,7 @@ class RecorderNode(GeoOrbitNode[RecorderParameters]):
         """Commit what is left."""
         self._owner.close()
         try:
+            self._store_views()
             self._database.close()
         except GeoOrbitError as error:
             self.get_logger().error(str(error))
@@ -92,6 +102,21 @@ class RecorderNode(GeoOrbitNode[RecorderParameters]):
         except GeoOrbitError as error:
             self.diagnostics.refuse(error)
 
+    def _on_view(self, cdr: bytes) -> None:
+        try:
+            stamp_ns, _, rows = decode_table(cdr, VIEW_DTYPE, self._view_topic)
+            self._views.add(look_of(stamp_ns, rows, self._view_topic))
+        except GeoOrbitError as error:
+            self.diagnostics.refuse(error)
+
+    def _store_views(self) -> None:
+        """Store what is new of the view's history: the end of the last stretch, and later ones."""
+        stretches = self._views.stretches[-VIEWS_AT_ONCE:]
+        changed = [stretch for stretch in stretches if stretch not in self._stored]
+        if changed:
+            self._database.put_view_events(self._camera, [_event(k) for k in changed])
+            self._stored = stretches
+
     def _map_stamp_ns(self, text: str) -> int:
         try:
             return int(json.loads(text)["geoorbit"]["stamp_ns"])
@@ -102,10 +127,26 @@ class RecorderNode(GeoOrbitNode[RecorderParameters]):
     def _maintain(self) -> None:
         try:
             self._database.flush()
+            self._store_views()
             if self.p.retention_days > 0.0 and self._newest_ns:
                 self._database.prune(self._newest_ns - round(self.p.retention_days * DAY_NS))
         except GeoOrbitError as error:  # a full disk may have room again later
             self.diagnostics.refuse(error)
+
+
+def _event(stretch: ViewStretch) -> ViewEvent:
+    return ViewEvent(
+        stretch.first_ns,
+        stretch.last_ns,
+        stretch.state.name.lower(),
+        stretch.blindness.name.lower(),
+        stretch.view,
+        stretch.moved_px,
+        stretch.right_px,
+        stretch.down_px,
+        stretch.sway_px,
+        stretch.found_s,
+    )
 
 
 def main(args: Sequence[str] | None = None) -> int:

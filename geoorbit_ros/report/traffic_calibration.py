@@ -19,7 +19,10 @@ GREY = 60
 CUBOIDS = 14
 """Vehicles that are drawn, those with the largest boxes among every eighth of the places. Chosen:
 more cover each other."""
-EDGES = ((0, 2), (2, 6), (6, 4), (4, 0), (1, 3), (3, 7), (7, 5), (5, 1), (0, 1), (2, 3), (4, 5), (6, 7))
+EDGES = (
+    *((0, 2), (2, 6), (6, 4), (4, 0), (1, 3), (3, 7), (7, 5), (5, 1)),
+    *((0, 1), (2, 3), (4, 5), (6, 7)),
+)
 """Of a cuboid, by the numbers of its corners (`vehicle_fit.CORNER`)."""
 SPACINGS_M = (2.0, 5.0, 10.0, 20.0, 50.0)
 LINES = 14
@@ -49,7 +52,9 @@ def draw_traffic_calibration(
     return canvas
 
 
-def _line(canvas: Image, pixel: NDArray[np.float64], colour: tuple[int, int, int], thin: int) -> None:
+def _line(
+    canvas: Image, pixel: NDArray[np.float64], colour: tuple[int, int, int], thin: int
+) -> None:
     good = np.isfinite(pixel).all(axis=1) & (np.abs(pixel) < 1e5).all(axis=1)
     for a, b in zip(np.flatnonzero(good)[:-1], np.flatnonzero(good)[1:], strict=True):
         if b == a + 1:

@@ -43,9 +43,7 @@ def decode_compressed_image(cdr: bytes, place: str) -> StampedPicture:
     Raises:
         MessageError: A message cut short, or bytes that are no whole image.
     """
-    reader = CdrReader(cdr, place, f"a {COMPRESSED}")
-    stamp_ns, frame_id = reader.header()
-    kind, data = reader.text(), reader.data()
+    stamp_ns, frame_id, kind, data = _compressed(cdr, place)
     decoded = None
     if len(data):
         # A rotated camera would say so in the file: pixels stay where control points expect them.
@@ -58,6 +56,52 @@ def decode_compressed_image(cdr: bytes, place: str) -> StampedPicture:
         found = f"{len(data)} bytes of '{kind}' that are no whole image"
         raise MessageError(place, found, "a JPEG, PNG or other image")
     return stamp_ns, frame_id, np.asarray(decoded, dtype=np.uint8)
+
+
+_REDUCED = {
+    1: cv2.IMREAD_GRAYSCALE,
+    2: cv2.IMREAD_REDUCED_GRAYSCALE_2,
+    4: cv2.IMREAD_REDUCED_GRAYSCALE_4,
+    8: cv2.IMREAD_REDUCED_GRAYSCALE_8,
+}
+
+
+def decode_reduced(
+    cdr: bytes, place: str, size: tuple[int, int], step: int
+) -> StampedPicture | None:
+    """A compressed image in grey, reduced while it is decoded: a third of the time of the whole.
+
+    Args:
+        cdr: A serialised `sensor_msgs/CompressedImage`.
+        place: Topic, for the error.
+        size: (width, height) that the whole image is expected to have.
+        step: 1, 2, 4 or 8.
+
+    Returns:
+        Stamp, frame id and (H // step, W // step) of whole pixels; None for an image that can't be
+        decoded, or of another size.
+
+    Raises:
+        MessageError: A message cut short.
+    """
+    stamp_ns, frame_id, _, data = _compressed(cdr, place)
+    if not len(data):
+        return None
+    flag = _REDUCED[step] | cv2.IMREAD_IGNORE_ORIENTATION
+    try:
+        small = cv2.imdecode(np.frombuffer(data, np.uint8), flag)
+    except cv2.error:
+        return None
+    width, height = size
+    if small is None or small.shape != (-(-height // step), -(-width // step)):
+        return None
+    return stamp_ns, frame_id, np.asarray(small[: height // step, : width // step], np.uint8)
+
+
+def _compressed(cdr: bytes, place: str) -> tuple[int, str, str, memoryview]:
+    reader = CdrReader(cdr, place, f"a {COMPRESSED}")
+    stamp_ns, frame_id = reader.header()
+    return stamp_ns, frame_id, reader.text(), reader.data()
 
 
 def decode_image(cdr: bytes, place: str) -> StampedPicture:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import NoTrafficError
+from geoorbit_ros.core.helper_process import HelperProcess
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.tables import Frames
 from geoorbit_ros.traffic.class_schemes import ClassScheme
@@ -22,6 +25,8 @@ from geoorbit_ros.traffic.movements import count_movements, find_gates
 from geoorbit_ros.traffic.records import CROSSING_DTYPE, PASSAGE_DTYPE, PIECE_DTYPE, last_seen
 from geoorbit_ros.traffic.stations import MeasuredLanes, measured_lanes
 
+BLOCK_ROWS = 250_000
+"""Rows that are looked at together. Chosen: more take more memory."""
 AT_ONCE = 1000
 """Intervals measured at once. Chosen: 10 MB of tables for ten lanes; more takes memory."""
 TAKE_NS = 60_000_000_000
@@ -36,7 +41,7 @@ class Recorded:
     Attributes:
         counter: What counted them; it has the lanes and the stations.
         observed: When the camera watched.
-        watch: What looked for events.
+        watch: Looks for events; None: they are looked for elsewhere, see `add_events`.
         first_ns: Stamp of the first frame.
         last_ns: Stamp of the last frame.
         frames: How many frames there were.
@@ -48,7 +53,7 @@ class Recorded:
 
     counter: TrafficCounter
     observed: ObservedTime
-    watch: EventWatch
+    watch: EventWatch | None
     choice: MapChoice | None = None
     maps: list[MapInUse] = field(default_factory=list)
     first_ns: int = 0
@@ -73,7 +78,8 @@ class Recorded:
             if chosen is not None:
                 self._keep(self.counter.take())  # who is gone was counted on the map before
                 self.counter.use_lanes(chosen.found.lanes)
-                self.watch.use_lanes(chosen.found.lanes)
+                if self.watch is not None:
+                    self.watch.use_lanes(chosen.found.lanes)
                 self._use(chosen.from_ns, chosen.found.stamp_ns)
 
     def _add(self, frames: Frames) -> None:
@@ -83,8 +89,9 @@ class Recorded:
         self.frames += len(frames)
         self.observed.add(frames.stamp_ns)
         self.counter.add(frames)
-        self.watch.add(frames)
-        self._events.append(self.watch.take())
+        if self.watch is not None:
+            self.watch.add(frames)
+            self.add_events(self.watch.take())
         if self.last_ns - self._taken_ns >= TAKE_NS:  # each time sorts all that is in view
             self._taken_ns = self.last_ns
             self._keep(self.counter.take())
@@ -92,6 +99,10 @@ class Recorded:
     def _use(self, from_ns: int, map_ns: int) -> None:
         order = measured_lanes(self.counter.lanes, self.counter.stations)
         self.maps.append(MapInUse(from_ns, map_ns, self.counter.lanes, order))
+
+    def add_events(self, rows: NDArray[np.void]) -> None:
+        """Take (E,) `EVENT_DTYPE`, later than those before."""
+        self._events.append(rows)
 
     def finish(self) -> None:
         """Count the vehicles that are still in view."""
@@ -161,6 +172,7 @@ def record(
     max_gap_s: float,
     choice: MapChoice | None = None,
     first: MapInUse | None = None,
+    beside: BlockSource | None = None,
 ) -> Recorded:
     """Count all vehicles of a recording.
 
@@ -170,19 +182,55 @@ def record(
         max_gap_s: See `interval_clock.ObservedTime`.
         choice: Chooses other lanes for later intervals; it has started.
         first: The map that the counter has, where others may follow.
+        beside: The same frames for a second process, which then looks for events.
 
     Raises:
         NoTrafficError: There is no frame.
     """
-    recorded = Recorded(counter, ObservedTime(max_gap_s), EventWatch(counter.lanes), choice)
+    watch = EventWatch(counter.lanes) if beside is None else None
+    recorded = Recorded(counter, ObservedTime(max_gap_s), watch, choice)
     if first is not None:
         recorded.maps.append(first)
-    for frames in blocks:
-        recorded.add(frames)
-    recorded.finish()
+    with ExitStack() as stack:
+        events: Iterable[NDArray[np.void]] = ()
+        if beside is not None:
+            helper = HelperProcess(watch_events, counter.lanes, beside, choice)
+            events = stack.enter_context(helper)
+        for frames in blocks:
+            recorded.add(frames)
+        recorded.finish()
+        for rows in events:
+            recorded.add_events(rows)
     if not recorded.frames:
         raise NoTrafficError("tracks", "no frame", "frames with vehicles")
     return recorded
+
+
+class BlockSource(Protocol):
+    """Frames of `TRACK_DTYPE` that another process can read."""
+
+    def blocks(self, rows: int) -> Iterator[Frames]:
+        """Frames in time order, about so many rows together."""
+        ...
+
+
+def watch_events(
+    lanes: Sequence[Lane], source: BlockSource, choice: MapChoice | None
+) -> Iterator[NDArray[np.void]]:
+    """The rows of all events (E,) `EVENT_DTYPE`; see `record`.
+
+    They come at the end: who waits for them counts until then, and a pipe that is full would stop
+    this process.
+    """
+    watch, found = EventWatch(lanes), [np.empty(0, EVENT_DTYPE)]
+    for frames in source.blocks(BLOCK_ROWS):
+        for part, chosen in [(frames, None)] if choice is None else choice.parts(frames):
+            if len(part):
+                watch.add(part)
+            if chosen is not None:
+                watch.use_lanes(chosen.found.lanes)
+        found.append(watch.take())
+    yield np.concatenate(found)
 
 
 def all_measures(

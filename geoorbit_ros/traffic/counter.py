@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from bisect import bisect_left, insort
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -163,11 +164,17 @@ class TrafficCounter:
         return table
 
 
+_Crossed = tuple[int, float, float, float]
+"""When a vehicle crossed a line, in nanoseconds, its speed in m/s, its length in metres, and how
+far left of the lane's middle it was."""
+
+
 class _OccupiedPlaces:
     """Where and when vehicles crossed the stations of late: no other can have been there."""
 
     def __init__(self) -> None:
-        self._crossed: dict[tuple[int, bool], list[_Place]] = {}
+        # By lane and whether they ride, in the order of time.
+        self._crossed: dict[tuple[int, bool], list[_Crossed]] = {}
 
     def seen_before(self, crossings: NDArray[np.void]) -> NDArray[np.int64]:
         """Ids of vehicles that are a second track of one that was counted already.
@@ -176,43 +183,41 @@ class _OccupiedPlaces:
         counts.
         """
         twice = list[int]()
-        for row in crossings:
-            rides = int(row["class_id"]) in NARROW_CLASSES
-            lane = self._crossed.setdefault((int(row["lane_id"]), rides), [])
-            length_m, usual_m = float(row["length_m"]), RIDER_M if rides else CAR_LENGTH_M
-            here = _Place(
-                int(row["stamp_ns"]),
-                float(row["speed_mps"]),
-                length_m if np.isfinite(length_m) else usual_m,
-                float(row["offset_m"]),
-            )
-            lane[:] = [other for other in lane if other.stamp_ns > here.stamp_ns - KEPT_NS]
-            near = [other for other in lane if abs(other.stamp_ns - here.stamp_ns) < FORGET_NS]
+        names = ("stamp_ns", "speed_mps", "length_m", "offset_m")
+        columns = [crossings[name].tolist() for name in ("vehicle_id", "lane_id", "class_id")]
+        rows = zip(*columns, *(crossings[name].tolist() for name in names), strict=True)
+        for vehicle_id, lane_id, class_id, at_ns, speed, length_m, left_m in rows:
+            rides = class_id in NARROW_CLASSES
+            if not math.isfinite(length_m):
+                length_m = RIDER_M if rides else CAR_LENGTH_M
+            lane = self._crossed.setdefault((lane_id, rides), [])
+            del lane[: bisect_left(lane, (at_ns - KEPT_NS + 1,))]
+            near = lane[
+                bisect_left(lane, (at_ns - FORGET_NS + 1,)) : bisect_left(
+                    lane, (at_ns + FORGET_NS,)
+                )
+            ]
             if rides:
-                near = [other for other in near if abs(other.left_m - here.left_m) < RIDER_APART_M]
-            if any(_overlap(here, other) for other in near):
-                twice.append(int(row["vehicle_id"]))
+                near = [other for other in near if abs(other[3] - left_m) < RIDER_APART_M]
+            crossed = at_ns, speed, length_m, left_m
+            if _overlaps(crossed, near):
+                twice.append(vehicle_id)
             else:
-                lane.append(here)
+                insort(lane, crossed)
         return np.unique(np.array(twice, np.int64))
 
 
-class _Place(NamedTuple):
-    """Where a vehicle was as it crossed a line."""
-
-    stamp_ns: int
-    speed_mps: float
-    length_m: float
-    left_m: float
-
-
-def _overlap(one: _Place, other: _Place) -> bool:
-    """Whether two vehicles at one line would be in one place."""
-    # The faster of the two speeds: who starts at a signal crosses the line slowly, and is gone by
-    # the time that the next one comes.
-    apart_s = abs(one.stamp_ns - other.stamp_ns) * 1e-9 - GAP_S
-    distance_m = apart_s * max(one.speed_mps, other.speed_mps)
-    return distance_m < LENGTH_SHARE * (one.length_m + other.length_m) / 2
+def _overlaps(crossed: _Crossed, others: list[_Crossed]) -> bool:
+    """Whether at one line a vehicle would be in one place with another."""
+    at_ns, own_speed, own_m, _ = crossed
+    for other_ns, other_speed, other_m, _ in others:
+        # The faster of the two speeds: who starts at a signal crosses the line slowly, and is gone
+        # by the time that the next one comes.
+        speed = own_speed if own_speed > other_speed else other_speed
+        distance_m = (abs(at_ns - other_ns) * 1e-9 - GAP_S) * speed
+        if distance_m < LENGTH_SHARE * (own_m + other_m) / 2:
+            return True
+    return False
 
 
 def scale_sigma(lane: Lane, plane: RoadPlane | None) -> float:

@@ -10,12 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import ParameterError
-from geoorbit_ros.core.tables import Frames
+from geoorbit_ros.core.frame_spool import AnyFrames
+from geoorbit_ros.core.tables import distinct
 
 DAY_S = 86_400
 CLOCK_SINCE_NS = 631_152_000_000_000_000
 """1990 as nanoseconds since 1970: earlier stamps are times since the recording began."""
 NS = 1_000_000_000
+AT_ONCE = 250_000
+"""Rows whose ids are looked at together. Chosen: more take memory."""
 GAP_S = 2.0
 """Frames farther apart than this were not watched between. Chosen: cameras send an image a second
 or more often; longer takes short outages for empty roads."""
@@ -162,7 +165,7 @@ class ObservedTime:
         return np.asarray((first_ns >= starts[k]) & (last_ns <= ends[k]))
 
 
-def usual_gap_s(frames: Frames) -> float:
+def usual_gap_s(frames: AnyFrames) -> float:
     """How long a pause between a recording's frames may be without being an outage, in seconds.
 
     Recordings that have frames without vehicles have a frame for every image. Others don't say when
@@ -173,10 +176,16 @@ def usual_gap_s(frames: Frames) -> float:
         return GAP_S
     pause_s = np.diff(frames.stamp_ns) / NS
     least = max(LEAST_QUIET_S, 5.0 * float(np.median(pause_s)))
-    vehicles, limit = len(np.unique(frames.rows["track_id"])), float("inf")
+    vehicles, limit = _track_count(frames), float("inf")
     while True:
         watched_s = float(pause_s[pause_s <= limit].sum())
         shorter = max(least, GAP_BY_CHANCE * watched_s / vehicles)
         if shorter >= limit:
             return limit
         limit = shorter
+
+
+def _track_count(frames: AnyFrames) -> int:
+    """How many ids there are."""
+    ids = [distinct(block.rows["track_id"]) for block in frames.blocks(AT_ONCE)]
+    return len(np.unique(np.concatenate(ids)))

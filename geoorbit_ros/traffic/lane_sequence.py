@@ -186,12 +186,15 @@ def _decode(
     came_from = np.zeros((longest, len(begin), states), np.int16)
     for k in range(1, longest):
         going = int(np.searchsorted(-count, -k, side="left"))  # vehicles with more than k rows
-        through = total[:going, :, None] + move
-        came_from[k, :going] = through.argmin(axis=1)
-        total[:going] = through.min(axis=1) + cost[begin[:going] + k]
-    state = total.argmin(axis=1).astype(np.int64)
+        best, source = total[:going, :1] + move[0], came_from[k, :going]
+        for state in range(1, states):
+            through = total[:going, state : state + 1] + move[state]
+            source[through < best] = state
+            np.minimum(best, through, out=best)
+        total[:going] = best + cost[begin[:going] + k]
+    last = total.argmin(axis=1).astype(np.int64)
     for k in range(longest - 1, -1, -1):
         going = int(np.searchsorted(-count, -k, side="left"))
-        lane[begin[:going] + k] = np.where(state[:going] == states - 1, -1, state[:going])
+        lane[begin[:going] + k] = np.where(last[:going] == states - 1, -1, last[:going])
         if k:
-            state[:going] = came_from[k, np.arange(going), state[:going]]
+            last[:going] = came_from[k, np.arange(going), last[:going]]

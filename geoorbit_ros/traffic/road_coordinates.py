@@ -83,6 +83,7 @@ class _SampledLane:
         self.point = np.column_stack([np.interp(self.arc, arc, line[:, k]) for k in (0, 1)])
         slope = np.gradient(self.point, self.arc, axis=0)
         self.heading = np.arctan2(slope[:, 1], slope[:, 0])
+        self._cos, self._sin = np.cos(self.heading), np.sin(self.heading)
         self.half_width = self._half_width(lane)
         self._origin = self.point.min(axis=0) - REACH_M
         cells = np.ceil((self.point.max(axis=0) + REACH_M - self._origin) / STEP_M).astype(int) + 1
@@ -92,7 +93,7 @@ class _SampledLane:
             self._origin + STEP_M * centre.reshape(-1, 2), distance_upper_bound=REACH_M + STEP_M
         )
         near = np.where(np.isfinite(far), near, -1)
-        self._nearest = near.reshape(tuple(cells)).astype(np.int32)
+        self._nearest, self._cells = near.astype(np.int32), cells.tolist()
 
     def _half_width(self, lane: Lane) -> Array:
         """(K,) half the distance between the boundaries, at each point."""
@@ -106,16 +107,17 @@ class _SampledLane:
 
     def write(self, position_m: Array, places: LanePlaces, column: int) -> None:
         """Fill one column of `places`."""
-        cell = np.floor((position_m - self._origin) / STEP_M)
-        size = self._nearest.shape
-        inside = ((cell >= 0) & (cell < size)).all(axis=1)  # False for NaN
-        cell = np.where(inside[:, None], cell, 0).astype(np.int64)
-        near = np.where(inside, self._nearest[cell[:, 0], cell[:, 1]], -1)
+        cell_x, cell_y = (
+            np.floor((position_m[:, axis] - self._origin[axis]) / STEP_M) for axis in (0, 1)
+        )
+        inside = (cell_x >= 0) & (cell_x < self._cells[0])  # False for NaN
+        inside &= (cell_y >= 0) & (cell_y < self._cells[1])
+        cell = np.where(inside, cell_x * self._cells[1] + cell_y, 0.0).astype(np.int64)
+        near = np.where(inside, self._nearest.take(cell), -1)
         found, near = near >= 0, np.maximum(near, 0)
-        gap = position_m - self.point[near]
-        cos, sin = np.cos(self.heading[near]), np.sin(self.heading[near])
-        places.arc_m[:, column] = self.arc[near] + gap[:, 0] * cos + gap[:, 1] * sin
-        across = gap[:, 1] * cos - gap[:, 0] * sin
-        places.offset_m[:, column] = np.where(found, across, np.inf)
-        places.heading_rad[:, column] = self.heading[near]
-        places.half_width_m[:, column] = self.half_width[near]
+        gap_x, gap_y = (position_m[:, axis] - self.point[:, axis].take(near) for axis in (0, 1))
+        cos, sin = self._cos.take(near), self._sin.take(near)
+        places.arc_m[:, column] = self.arc.take(near) + gap_x * cos + gap_y * sin
+        places.offset_m[:, column] = np.where(found, gap_y * cos - gap_x * sin, np.inf)
+        places.heading_rad[:, column] = self.heading.take(near)
+        places.half_width_m[:, column] = self.half_width.take(near)

@@ -255,9 +255,11 @@ def _on_line(
     first, last = when - half_s, when + half_s
     slow = np.zeros(len(at), np.bool_)
     for step in (-NEAR_ROWS, NEAR_ROWS):
-        other = np.clip(at + step, 0, max(len(owner) - 1, 0))
+        # A row beyond the table is another vehicle's, whoever else is in the table.
+        inside = (at + step >= 0) & (at + step < len(owner))
+        other = np.where(inside, at + step, at)
         way, spent_s = np.abs(beyond[other] - beyond[at]), np.abs(time_s[other] - time_s[at])
-        slow |= (owner[other] == owner[at]) & (way < STEADY_MPS * spent_s)
+        slow |= inside & (owner[other] == owner[at]) & (way < STEADY_MPS * spent_s)
     for k in np.flatnonzero(slow & (half > 0.0)).tolist():
         row = int(at[k])
         begin, end = np.searchsorted(owner, (owner[row], owner[row] + 1)).tolist()

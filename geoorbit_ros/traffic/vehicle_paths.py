@@ -13,8 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import TableError
-from geoorbit_ros.core.tables import FLAG_GROUND_POINT, FLAG_PREDICTED, TRACK_DTYPE, Frames
-from geoorbit_ros.traffic.track_links import Fragment, Links, cut_ns
+from geoorbit_ros.core.tables import (
+    FLAG_GROUND_POINT,
+    FLAG_PREDICTED,
+    TRACK_DTYPE,
+    Frames,
+    order_by_id,
+)
+from geoorbit_ros.traffic.track_links import Fragment, Links, are_pauses, cut_ns
 
 BIN_NS = 100_000_000
 """Of each track one row in every tenth of a second is kept. Chosen: a vehicle drives three metres
@@ -124,41 +130,43 @@ class PathCollector:
     def _take(self, now_ns: int | None) -> Paths:
         if not self._waiting:
             return _no_paths()
-        rows = np.concatenate(self._waiting)
-        rows = rows[np.lexsort((rows["stamp_ns"], rows["track_id"]))]
-        rows = rows[_first_of_bins(rows)]
+        rows = np.concatenate(
+            self._waiting, dtype=PATH_DTYPE
+        )  # named, so that it isn't searched for
+        order = np.lexsort((rows["stamp_ns"], rows["track_id"]))
+        order = order[_first_of_bins(rows["stamp_ns"][order], rows["track_id"][order])]
+        rows = rows.take(order)
         track = _track_numbers(rows)
-        begin = np.flatnonzero(np.diff(track, prepend=-1))
-        end = np.append(begin[1:], len(rows))
-        fragments = [
-            fragment
-            for a, b in zip(begin.tolist(), end.tolist(), strict=True)
-            for fragment in _fragments(rows[a:b])
-        ]
+        fragments = _fragments(rows, track)
         chains, open_fragments = self.links.join(fragments, now_ns)
         self._waiting = [fragment.rows for fragment in open_fragments]
         return _paths(chains)
 
 
 def _path_rows(frames: Frames) -> NDArray[np.void]:
-    """The rows of frames that a detection supports."""
-    table = frames.rows
+    """The rows of frames that a detection supports; of many frames, the first in each bin."""
+    table, stamp_ns = frames.rows, frames.row_stamp_ns()
     seen = (table["flags"] & FLAG_PREDICTED) == 0
     seen &= np.isfinite(table["x"]) & np.isfinite(table["y"])
-    rows = np.empty(int(np.count_nonzero(seen)), PATH_DTYPE)
-    rows["stamp_ns"] = frames.row_stamp_ns()[seen]
+    kept = seen.nonzero()[0]
+    if len(frames) > 1:
+        kept = kept[order_by_id(table["track_id"][kept])]
+        kept = kept[_first_of_bins(stamp_ns[kept], table["track_id"][kept])]
+    table = table.take(kept)
+    rows = np.empty(len(table), PATH_DTYPE)
+    rows["stamp_ns"] = stamp_ns[kept]
     for name in PATH_DTYPE.names or ():
         if name != "stamp_ns":
-            rows[name] = table[name][seen]
-    rows["length"][(table["flags"][seen] & FLAG_GROUND_POINT) != 0] = np.nan
+            rows[name] = table[name]
+    rows["length"][(table["flags"] & FLAG_GROUND_POINT) != 0] = np.nan
     return rows
 
 
-def _first_of_bins(rows: NDArray[np.void]) -> NDArray[np.bool_]:
+def _first_of_bins(stamp_ns: NDArray[np.int64], track_id: NDArray[np.integer]) -> NDArray[np.bool_]:
     """(N,) whether a row, sorted by track and time, is its track's first in its bin."""
-    bin_of = rows["stamp_ns"] // BIN_NS
-    first = np.ones(len(rows), np.bool_)
-    first[1:] = (np.diff(bin_of) != 0) | (np.diff(rows["track_id"]) != 0)
+    bin_of = stamp_ns // BIN_NS
+    first = np.ones(len(bin_of), np.bool_)
+    first[1:] = (bin_of[1:] != bin_of[:-1]) | (track_id[1:] != track_id[:-1])
     return first
 
 
@@ -185,15 +193,31 @@ def _track_numbers(rows: NDArray[np.void]) -> NDArray[np.int64]:
     return np.cumsum(begins) - 1
 
 
-def _fragments(rows: NDArray[np.void]) -> list[Fragment]:
-    """A track, in parts where it is very long (`track_links.LONGEST_NS`)."""
-    stamps, track_id = rows["stamp_ns"], int(rows["track_id"][0])
-    parts, begin = list[Fragment](), 0
-    while (at_ns := cut_ns(int(stamps[begin]))) <= stamps[-1]:
-        end = int(np.searchsorted(stamps, at_ns))
-        parts.append(Fragment(track_id, rows[begin:end], int(stamps[end])))
-        begin = end
-    return [*parts, Fragment(track_id, rows[begin:])]
+def _fragments(rows: NDArray[np.void], track: NDArray[np.int64]) -> list[Fragment]:
+    """Tracks, in parts where they are very long (`track_links.LONGEST_NS`)."""
+    begin = np.flatnonzero(np.diff(track, prepend=-1))
+    end = np.append(begin[1:], len(rows))
+    stamps = rows["stamp_ns"]
+    pauses = np.append(0, np.cumsum(are_pauses(stamps)))  # before each row, those of all tracks
+    found = list[Fragment]()
+    bounds = zip(
+        begin.tolist(),
+        end.tolist(),
+        rows["track_id"][begin].tolist(),
+        stamps[begin].tolist(),
+        stamps[end - 1].tolist(),
+        (pauses[end - 1] > pauses[begin]).tolist(),
+        strict=True,
+    )
+    for a, b, track_id, first_ns, last_ns, paused in bounds:
+        while (at_ns := cut_ns(first_ns)) <= last_ns:
+            c = a + int(np.searchsorted(stamps[a:b], at_ns))
+            part_pauses = bool(pauses[c - 1] > pauses[a])
+            before_ns, next_ns = int(stamps[c - 1]), int(stamps[c])
+            found.append(Fragment(track_id, rows[a:c], first_ns, before_ns, part_pauses, next_ns))
+            a, first_ns, paused = c, next_ns, bool(pauses[b - 1] > pauses[c])
+        found.append(Fragment(track_id, rows[a:b], first_ns, last_ns, paused))
+    return found
 
 
 def _no_paths() -> Paths:
@@ -203,9 +227,9 @@ def _no_paths() -> Paths:
 def _paths(chains: list[list[Fragment]]) -> Paths:
     if not chains:
         return _no_paths()
-    tables = []
-    for chain in chains:
-        rows = np.concatenate([fragment.rows for fragment in chain])
-        tables.append(rows[np.argsort(rows["stamp_ns"], kind="stable")])
-    offset = np.append(0, np.cumsum([len(table) for table in tables])).astype(np.int64)
-    return Paths(offset, np.concatenate(tables))
+    counts = [sum(len(fragment.rows) for fragment in chain) for chain in chains]
+    offset = np.append(0, np.cumsum(counts)).astype(np.int64)
+    parts = [fragment.rows for chain in chains for fragment in chain]
+    rows = np.concatenate(parts, dtype=PATH_DTYPE)
+    vehicle = np.repeat(np.arange(len(chains)), counts)
+    return Paths(offset, rows.take(np.lexsort((rows["stamp_ns"], vehicle))))

@@ -142,7 +142,11 @@ class WatchedTracks:
             self.now.append(found)
         if new:
             seen = {moment.track_id for moment in moments}
-            ended = [t for k, t in self.tracks.items() if k not in seen and t.is_vehicle]
+            ended = [
+                (t, speed)
+                for k, t in self.tracks.items()
+                if k not in seen and t.is_vehicle and isfinite(speed := hypot(t.last.vx, t.last.vy))
+            ]
             for track in new:
                 _go_on(track, ended)
         for track, moment in zip(self.now, moments, strict=True):
@@ -154,22 +158,27 @@ class WatchedTracks:
             track.lanes.clear()
 
 
-def _go_on(track: WatchedTrack, ended: list[WatchedTrack]) -> None:
-    """Let a new track inherit from those that ended where it may have come from."""
-    first = track.first
-    for other in ended:
+def _go_on(track: WatchedTrack, ended: list[tuple[WatchedTrack, float]]) -> None:
+    """Let a new track inherit from those that ended where it may have come from.
+
+    Args:
+        track: The new one.
+        ended: Tracks with the speeds at which they ended.
+    """
+    x, y, start_ns = track.first.x, track.first.y, track.first.stamp_ns
+    for other, speed in ended:
         last = other.last
-        gap_s = (first.stamp_ns - last.stamp_ns) * 1e-9
-        speed = hypot(last.vx, last.vy)
-        if not isfinite(speed):
+        dx, dy = x - last.x, y - last.y
+        way_m = speed * (start_ns - last.stamp_ns) * 1e-9
+        reach_m = way_m + 2.0 * LINK_M  # more than both limits below
+        if reach_m < 0.0 or dx * dx + dy * dy > reach_m * reach_m:
             continue
-        dx, dy = first.x - last.x, first.y - last.y
         if speed > SLOW_MPS:
             along = (dx * last.vx + dy * last.vy) / speed
             across = abs(dy * last.vx - dx * last.vy) / speed
         else:
             along, across = 0.0, hypot(dx, dy)
-        if across <= LINK_ACROSS_M and -LINK_M <= along <= speed * gap_s + LINK_M:
+        if across <= LINK_ACROSS_M and -LINK_M <= along <= way_m + LINK_M:
             if speed <= LINK_MPS:
                 track.inherited_m = max(track.inherited_m, other.driven_m)
             for lane, arc in other.lanes.items():

@@ -57,6 +57,7 @@ RECORD = (
     " --out lanes.geojson --database tracks.db"
 )
 GIVEN = {
+    "docs/calibration.md": ["scene run motorway_4x4 --duration 60 --seed 1 --out out/camera"],
     "docs/cameras.md": [FILM],
     "docs/detection.md": [FILM],
     "docs/markings.md": [SCENE, "scene render on_ramp_merge --duration 2 --seed 1 --out out/film"],

@@ -22,6 +22,7 @@ from geoorbit_ros.nodes.overlay import OverlayNode
 from geoorbit_ros.nodes.recorder import RecorderNode
 from geoorbit_ros.nodes.tracker import TrackerNode
 from geoorbit_ros.nodes.traffic import TrafficNode
+from geoorbit_ros.nodes.view_watch import ViewWatchNode
 from geoorbit_ros.parameters import load_schema
 
 ROOT = Path(__file__).parents[2]
@@ -37,6 +38,7 @@ NODES = {
         RecorderNode,
         TrackerNode,
         TrafficNode,
+        ViewWatchNode,
     )
 }
 

@@ -14,7 +14,7 @@ from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.calibration.lens import Lens
 from geoorbit_ros.calibration.traffic.estimate import TrafficCalibration
-from geoorbit_ros.calibration.traffic.model import MANY, PLACE, YAW, projection_matrix
+from geoorbit_ros.calibration.traffic.parameters import MANY, PLACE, YAW, projection_matrix
 
 Array = NDArray[np.float64]
 
@@ -134,5 +134,3 @@ def _shape_shifts(found: TrafficCalibration, ideal: Array, local: Array) -> Arra
         off -= turned * (off * turned).sum() / square
         shifts.append(off)
     return np.array(shifts)
-
-

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.lens import Lens, LensEstimate, with_focal
 from geoorbit_ros.calibration.lens_from_paths import estimate_lens_from_paths
-from geoorbit_ros.calibration.traffic.model import (
+from geoorbit_ros.calibration.traffic.model import Explained, TrafficModel
+from geoorbit_ros.calibration.traffic.parameters import (
     FEW,
     FOCAL,
     HEIGHT,
@@ -21,9 +22,7 @@ from geoorbit_ros.calibration.traffic.model import (
     ROOF_MEAN,
     STEP,
     TILT,
-    Explained,
     KnownPoints,
-    TrafficModel,
     projection_matrix,
 )
 from geoorbit_ros.calibration.traffic.samples import TrafficSamples, sample_traffic, whole
@@ -214,8 +213,7 @@ def _check_result(result: TrafficCalibration) -> None:
     if not (focal <= MAX_FOCAL_SIGMA and height <= MAX_SCALE_SIGMA):
         raise CalibrationError(
             PLACE_NAME,
-            f"a focal length known to {100 * focal:.0f} % and a scale to {100 * height:.0f} %, from "
-            f"{result.vehicles} vehicles",
+            f"a focal length known to {100 * focal:.0f} % and a scale to {100 * height:.0f} %",
             f"{100 * MAX_FOCAL_SIGMA:.0f} % and {100 * MAX_SCALE_SIGMA:.0f} %: more traffic, the "
             "camera's focal length (--camera-info), or points that you know (--points)",
         )
@@ -281,5 +279,3 @@ def _laid_on(points: KnownPoints, x: Array, image_size: tuple[int, int]) -> Arra
     yaw = np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum())
     turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
     return np.append(yaw, points.local_m.mean(axis=0) - turn @ ground.mean(axis=0))
-
-

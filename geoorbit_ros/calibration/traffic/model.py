@@ -13,6 +13,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.calibration.traffic.parameters import (
+    FEW,
+    FOCAL,
+    HEIGHT,
+    MANY,
+    MARGIN,
+    PLACE,
+    ROOF,
+    ROOF_OF_LARGE,
+    YAW,
+    KnownPoints,
+    prior_residuals,
+    projection_matrix,
+)
 from geoorbit_ros.calibration.traffic.paths import (
     PARALLEL_CAUCHY,
     PARALLEL_SIGMA_RAD,
@@ -26,48 +40,6 @@ from geoorbit_ros.calibration.vehicle_fit import VehicleFit, fit_vehicles, on_pl
 from geoorbit_ros.calibration.vehicle_size import BUS, CAR, COVARIANCE, MEAN_M, PRECISION
 
 Array = NDArray[np.float64]
-
-FOCAL, TILT, ROLL, HEIGHT, FLEET, MARGIN, ROOF, YAW, PLACE = (
-    0, 1, 2, 3, slice(4, 10), slice(10, 12), 12, 13, slice(14, 16),
-)  # fmt: skip
-"""Parameters: log of focal length over image width; tilt below the horizontal and roll in radians;
-log of the height in metres; how much larger than usual cars are (length, width, height), then
-motorcycles, buses and trucks; pixels that a detector draws boxes wider and higher; share of its
-length by which a car's roof is shorter; then, where points are known, the camera's heading and
-place in their frame."""
-FEW, MANY = 13, 16
-"""Parameters without known points, and with them."""
-LOWEST = np.array([np.log(0.25), np.radians(1), -0.2, np.log(2.5), *[-0.3] * 6, -8, -8, -0.2])
-HIGHEST = np.array([np.log(10.0), np.radians(80), 0.2, np.log(90), *[0.3] * 6, 8, 8, 0.5])
-"""Bounds: 127 to 6 degrees wide, 2.5 to 90 m high, roll to 11 degrees."""
-STEP = np.array([0.1, 0.03, 0.02, 0.1, *[0.03] * 6, 1, 1, 0.05, 0.05, 1, 1])
-"""How much of each parameter changes about as much."""
-
-FLEET_COMMON, FLEET_OWN = 0.03, 0.025
-"""1-sigma of the mean size of a place's cars against `MEAN_M`: of all three dimensions together,
-and of each. New cars are 1.80 m wide in Europe (Transport & Environment (2024), growth of 1 cm in
-two years) and 1.85 to 1.95 m in North America, whose commonest models are a crossover and a pickup;
-lengths 4.4 and 4.8 m. A fleet in the middle is off by 3 to 4 %."""
-GROUP_FLEET = np.array([0.1, 0.04, 0.12])
-"""The same of motorcycles, buses (2.55 m is the legal width nearly everywhere) and trucks, which
-for a detector are everything from a pickup to a semitrailer."""
-MARGIN_SIGMA_PX = 1.0
-"""1-sigma of what a detector adds to a box's width and height whatever the distance."""
-ROOF_MEAN, ROOF_SIGMA = 0.12, 0.15
-"""A roof is shorter than the car and the upper edge of a box shows the roof: by 0 (a van) to 0.25
-(a saloon car, whose roof is half as long as it is)."""
-ROOF_OF_LARGE = 0.3
-"""The same of buses and trucks, as a share of that of cars."""
-ROLL_SIGMA_RAD = np.radians(1.0)
-"""1-sigma of a camera's roll: mounts are levelled by eye. Boxes say little about it: vehicles that
-come and those that go look different, and each kind is on one side of the image."""
-HEIGHT_MEAN_M, HEIGHT_SIGMA = 11.0, 0.8
-FOCAL_SIGMA = 1.0
-TILT_MEAN_RAD, TILT_SIGMA_RAD = 0.3, 0.6
-"""Weak priors, of which any camera on a pole is within two sigma: 2 to 55 m high, a focal length of
-0.14 to 7 image widths."""
-KNOWN_FOCAL_SIGMA = 0.01
-"""1-sigma, as a share, of a focal length that the user's camera_info gives."""
 
 SIDE_SIGMA_PX = 1.1
 SIDE_SIGMA_RATIO = 0.025
@@ -85,41 +57,12 @@ START_LOSS, LOSS = 1.5, 2.5
 INDEPENDENT_VEHICLES = 25.0
 """The boxes of all vehicles weigh as much as those of so many: real ones aren't boxes, and miss
 them together in the same places. Set where cameras with surveyed points lie within two sigma."""
+SIZE_BOUNDS = 0.4, 2.8
+"""Sizes stay between these shares of the usual one: a pickup is a truck of half the length."""
 OFFSET = 1e3
 """Added to the logarithm of a vehicle's determinant, so that its root exists."""
 BEYOND = 6.0
 """Residual of a vehicle that would stand beyond the horizon."""
-
-
-def projection_matrix(x: Array, image_size: tuple[int, int]) -> Array:
-    """(3, 4) from metres (right, ahead, up; from the ground below the camera) to pixels."""
-    width, height = image_size
-    sin, cos = np.sin(x[TILT]), np.cos(x[TILT])
-    right, down = np.array([1.0, 0.0, 0.0]), np.array([0.0, -sin, -cos])
-    turn, lean = np.cos(x[ROLL]), np.sin(x[ROLL])
-    ahead = np.array([0.0, cos, -sin])
-    rotation = np.vstack((turn * right - lean * down, lean * right + turn * down, ahead))
-    focal = np.exp(x[FOCAL]) * width
-    camera = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
-    place = np.array([0.0, 0.0, np.exp(x[HEIGHT])])
-    return np.asarray(camera @ np.column_stack((rotation, -rotation @ place)))
-
-
-@dataclass(frozen=True, slots=True)
-class KnownPoints:
-    """Points on the road whose place is known, with their errors.
-
-    Attributes:
-        pixel: (M, 2) ideal pixels.
-        local_m: (M, 2) metres in a frame of the user's.
-        sigma_px: (M,) of a pixel coordinate.
-        sigma_m: (M,) of a ground coordinate.
-    """
-
-    pixel: Array
-    local_m: Array
-    sigma_px: Array
-    sigma_m: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,8 +125,11 @@ class TrafficModel:
         self._aside: Neighbours | None = None
         self._aside_sigma: Array = np.ones(0)
         self._directions: tuple[Array, ...] | None = None
-        self._settled: Headings
-        self._mean, self._prior = MEAN_M[self.group].T, PRECISION[self.group].transpose(1, 2, 0)
+        self._settled: Headings | None = None
+        self._mean, self._prior_size = (
+            MEAN_M[self.group].T,
+            PRECISION[self.group].transpose(1, 2, 0),
+        )
         self._root = np.linalg.cholesky(PRECISION).transpose(0, 2, 1)[self.group]
         self._weight = np.sqrt(min(1.0, INDEPENDENT_VEHICLES / max(len(self.group), 1)))
         self.noise, self.robust = 1.0, False
@@ -205,7 +151,7 @@ class TrafficModel:
         size = self._size * usual if size_m is None else size_m
         spread = POSITION_PRIOR * COVARIANCE[self.group].transpose(1, 2, 0)
         relative = self._mean / usual
-        prior = self._prior * relative[:, None] * relative
+        prior = self._prior_size * relative[:, None] * relative
         xy = on_plane(matrix, self.centre, size[2][self.vehicle] / 2)[0]
         roof = x[ROOF] * np.where(self.group < BUS, 1.0, ROOF_OF_LARGE)[self.vehicle]
         sigma = self.sigma * self.noise
@@ -225,24 +171,38 @@ class TrafficModel:
             slope[1, 0] *= 1.0 - roof
             slope /= sigma[:, None]
             residual = (self.side - predicted) / sigma
-            weighted = slope * self._box_weight(residual, fit.good)[:, None]
-            target = residual + (slope * size[:, self.vehicle]).sum(axis=1)
-            normal = self._sums((slope[:, :, None] * weighted[:, None]).sum(axis=0)) + prior
-            vector = self._sums((weighted * target[:, None]).sum(axis=0))
-            vector += (prior * usual).sum(axis=1)
-            new = np.linalg.solve(normal.transpose(2, 0, 1), vector.T[:, :, None])[:, :, 0].T
-            new = np.clip(new, 0.4 * usual, 2.8 * usual)
+            new = self._sizes(residual, slope, fit.good, size, usual, prior)
             residual -= (slope * (new - size)[:, self.vehicle]).sum(axis=1)
             size, xy = new, fit.xy
         full = (slope[:, :, None] * slope[:, None]).sum(axis=0) * fit.good
         return Explained(fit, headings, own, size, residual, self._sums(full) + prior)
+
+    def _sizes(
+        self,
+        residual: Array,
+        slope: Array,
+        good: NDArray[np.bool_],
+        size: Array,
+        usual: Array,
+        prior: Array,
+    ) -> Array:
+        """(3, K) sizes that explain the boxes best, with what is known of them."""
+        weighted = slope * self._box_weight(residual, good)[:, None]
+        target = residual + (slope * size[:, self.vehicle]).sum(axis=1)
+        normal = self._sums((slope[:, :, None] * weighted[:, None]).sum(axis=0)) + prior
+        vector = self._sums((weighted * target[:, None]).sum(axis=0))
+        vector += (prior * usual).sum(axis=1)
+        new = np.linalg.solve(normal.transpose(2, 0, 1), vector.T[:, :, None])[:, :, 0].T
+        return np.clip(new, *(share * usual for share in SIZE_BOUNDS))
 
     def _sums(self, values: Array) -> Array:
         return np.asarray(np.add.reduceat(values, self.first, axis=-1))
 
     def _box_weight(self, residual: Array, good: NDArray[np.bool_]) -> Array:
         if self.robust:
-            weight = np.broadcast_to(1.0 / (1.0 + (residual**2).sum(axis=0) / LOSS**2), (2, len(good)))
+            weight = np.broadcast_to(
+                1.0 / (1.0 + (residual**2).sum(axis=0) / LOSS**2), (2, len(good))
+            )
         else:
             weight = 1.0 / np.sqrt(1.0 + (residual / 2.0) ** 2)
         return np.where(good, weight, 0.0)
@@ -250,11 +210,11 @@ class TrafficModel:
     def _headings(self, matrix: Array, x: Array, xy: Array) -> tuple[Headings, Headings]:
         """Of each vehicle alone, and shared with its neighbours."""
         zoom = np.exp(self._unit - x[HEIGHT])
-        if self._directions is not None:
+        if self._directions is not None and self._settled is not None:
             slope = _pixels_per_metre(matrix, xy)
-            own, shared = (_on_road(slope, shown) for shown in self._directions)
+            alone, shared = (_on_road(slope, shown) for shown in self._directions)
             variance, bend = self._settled.variance, self._settled.curvature
-            return Headings(own, variance, bend), Headings(shared, variance, bend)
+            return Headings(alone, variance, bend), Headings(shared, variance, bend)
         xy = xy * zoom
         depth = np.maximum(matrix[2, :2] @ np.nan_to_num(xy) + matrix[2, 3] * zoom, 0.5)
         noise = self._path_sigma * depth / (np.exp(x[FOCAL]) * self.image_size[0])
@@ -318,42 +278,25 @@ class TrafficModel:
             self._weight * sizes.ravel(),
             self._weight * np.sqrt(np.maximum(OFFSET + spread, 0.0)),
             self._parallel(x, found),
-            self._priors(x),
+            prior_residuals(x, self.image_size[0], self._focal_px),
             self._known_points(x),
         ]
-        return np.nan_to_num(np.concatenate(parts), nan=4.0, posinf=10.0, neginf=-10.0)
+        whole = np.concatenate(parts)
+        return np.asarray(np.nan_to_num(whole, nan=4.0, posinf=10.0, neginf=-10.0))
 
     def _parallel(self, x: Array, found: Explained) -> Array:
         """Angles in the image between neighbours' ways; each vehicle counts as two comparisons."""
         pairs = self._aside
         if pairs is None or not len(pairs.here):
             return np.empty(0)
-        turn, _ = pairs.difference(found.fit.xy * np.exp(self._unit - x[HEIGHT]), found.own_headings)
+        turn, _ = pairs.difference(
+            found.fit.xy * np.exp(self._unit - x[HEIGHT]), found.own_headings
+        )
         good = found.fit.good[pairs.here] & found.fit.good[pairs.there]
         turn = np.where(good, turn, 0.0) * self._pixel_turn(x, found)[pairs.here]
         turn = turn / self._aside_sigma / PARALLEL_CAUCHY
         robust = PARALLEL_CAUCHY * np.sign(turn) * np.sqrt(np.log1p(turn**2))
         return np.asarray(robust / np.sqrt(max(len(turn) / (2.0 * len(self.group)), 1.0)))
-
-    def _priors(self, x: Array) -> Array:
-        cars = FLEET_COMMON**2 * np.ones((3, 3)) + FLEET_OWN**2 * np.eye(3)
-        focal, focal_sigma = 0.0, FOCAL_SIGMA
-        if self._focal_px is not None:
-            focal, focal_sigma = np.log(self._focal_px / self.image_size[0]), KNOWN_FOCAL_SIGMA
-        return np.concatenate(
-            (
-                np.linalg.solve(np.linalg.cholesky(cars), x[4:7]),
-                x[7:10] / GROUP_FLEET,
-                x[MARGIN] / MARGIN_SIGMA_PX,
-                [
-                    (x[ROOF] - ROOF_MEAN) / ROOF_SIGMA,
-                    x[ROLL] / ROLL_SIGMA_RAD,
-                    (x[HEIGHT] - np.log(HEIGHT_MEAN_M)) / HEIGHT_SIGMA,
-                    (x[FOCAL] - focal) / focal_sigma,
-                    (x[TILT] - TILT_MEAN_RAD) / TILT_SIGMA_RAD,
-                ],
-            )
-        )
 
     def _known_points(self, x: Array) -> Array:
         """(2M,) errors of the user's points in the image."""

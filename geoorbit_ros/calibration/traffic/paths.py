@@ -31,13 +31,14 @@ POOL_M, POOL_COUNT, POOL_RAD = 20.0, 10, 0.3
 """Neighbours with whom a heading is shared: so far, so many, so near in direction."""
 PAIR_RAD = np.radians(20.0)
 """Vehicles that head so differently are on different roads."""
-PAIR_AHEAD, PAIR_ASIDE_M = (12.0, 0.3), (1.5, 60.0)
+PAIR_AHEAD, PAIR_ASIDE_M = (5.0, 0.05), (1.5, 60.0)
 """Vehicles are compared that are side by side: at most so far ahead (metres, and a share of the way
 aside), and so far aside."""
 PAIRS = 3
 """Comparisons per place. Chosen: more say the same again."""
-PARALLEL_SIGMA_RAD = np.radians(0.4)
-"""1-sigma of the angle between the ways of vehicles side by side, on average over their ways."""
+PARALLEL_SIGMA_RAD = np.radians(0.8)
+"""1-sigma of the angle between the ways of vehicles side by side. Chosen: at 0.4 degrees what is
+wrong with the bends of S-curves pulls the horizon, at 3 degrees the lanes are not held parallel."""
 PARALLEL_CAUCHY = 2.0
 """Sigma beyond which a comparison counts less: ramps, changes of lane."""
 
@@ -74,7 +75,11 @@ def path_headings(xy: Array, noise: Array, vehicle: NDArray[np.intp]) -> Heading
     xy = np.nan_to_num(xy, nan=0.0, posinf=1e4, neginf=-1e4)
     weight = 1.0 / noise**2
     off = xy - (sums(weight * xy) / sums(weight))[:, vehicle]
-    xx, xy_, yy = sums(weight * off[0] ** 2), sums(weight * off[0] * off[1]), sums(weight * off[1] ** 2)
+    xx, xy_, yy = (
+        sums(weight * off[0] ** 2),
+        sums(weight * off[0] * off[1]),
+        sums(weight * off[1] ** 2),
+    )
     axis = 0.5 * np.arctan2(2.0 * xy_, xx - yy)
     ahead = off[:, last] - off[:, first]
     axis += np.pi * (ahead[0] * np.cos(axis) + ahead[1] * np.sin(axis) < 0.0)

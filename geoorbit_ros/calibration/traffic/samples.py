@@ -1,4 +1,4 @@
-"""Boxes of vehicles at a few places along their way, made smooth: what a calibration is fitted to."""
+"""Boxes of vehicles at a few places along their way, made smooth, for a calibration."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ MIN_WAY = 1.5
 """Vehicles that move less, in sizes of their boxes, are left out: parked ones, false boxes."""
 COVERED = 0.1
 """Boxes are left out of which more is covered by the box of a nearer vehicle: detectors draw what
-they see. Chosen: larger takes cut boxes for small vehicles, smaller leaves none in dense traffic."""
+they see. Chosen: larger takes cut boxes for small vehicles, smaller leaves too few."""
 MIN_SIDE_PX = 4.0
 """Narrower and lower boxes are left out: rounding to pixels is more than a tenth of them."""
 
@@ -93,7 +93,8 @@ def sample_traffic(
     good &= np.isfinite(ideal).all(axis=0)
     order = np.argsort(rows["track_id"], kind="stable")
     parts = np.split(order, np.flatnonzero(np.diff(rows["track_id"][order])) + 1)
-    found, groups = [], []
+    found: list[Array] = []
+    groups: list[int] = []
     for part in parts:
         use = part[good[part]]
         if len(use) < MIN_BOXES:

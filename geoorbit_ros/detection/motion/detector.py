@@ -15,10 +15,10 @@ from geoorbit_ros.detection.detector import DetectorSettings, Image, as_bgr, det
 from geoorbit_ros.detection.motion.background import RoadBackground
 from geoorbit_ros.detection.motion.blobs import Vehicle, busy_rows, find_vehicles, touches_border
 from geoorbit_ros.detection.motion.road_axes import RoadAxes
+from geoorbit_ros.detection.motion.road_shift import RoadShift
 from geoorbit_ros.detection.motion.shadows import ShadowModel
 from geoorbit_ros.detection.motion.trajectories import Trajectories
 from geoorbit_ros.detection.motion.vehicle_shapes import VehicleOutlines, VehicleSizes
-from geoorbit_ros.detection.view_watch import ViewWatch
 
 WORK_WIDTH_PX = 1280
 """Wider images are worked on at this width. Chosen: wider ones show smaller vehicles and take more
@@ -123,7 +123,7 @@ class MotionDetector:
 
     def _forget(self) -> None:
         self._road, self._shadows, self._sizes = RoadBackground(), ShadowModel(), VehicleSizes()
-        self._watch, self._outlines, self._axes = ViewWatch(), VehicleOutlines(), RoadAxes()
+        self._watch, self._outlines, self._axes = RoadShift(), VehicleOutlines(), RoadAxes()
         self._trajectories = Trajectories()
         self._frames = self._changed = 0
         self._learnt_ns: int | None = None

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.core.lanes import LaneMap
-from geoorbit_ros.core.tables import FLAG_DOUBTFUL
+from geoorbit_ros.core.tables import FLAG_DOUBTFUL, Frames
 from geoorbit_ros.lanes.confidence import SHOW, keep_confirmed, unconfirmed
 from geoorbit_ros.lanes.estimators.estimator import LaneEstimator, Restorable, State
 from geoorbit_ros.lanes.mapping.lane_ids import LaneRegistry
@@ -67,6 +67,30 @@ class LaneMapper:
             rows: (N,) `TRACK_DTYPE`.
         """
         self.estimator.add(stamp_ns, rows)
+        return self._added(stamp_ns, rows)
+
+    def add_block(self, frames: Frames) -> LaneMap | None:
+        """Take many frames as one after the other; the last map that was renewed, None for none.
+
+        Args:
+            frames: Frames of `TRACK_DTYPE`, later than those before.
+        """
+        newest, first = None, 0
+        while first < len(frames):
+            # Up to the first frame that the estimator is asked after.
+            due_ns = frames.stamp_ns[first] if self._due_ns is None else self._due_ns
+            last = min(int(np.searchsorted(frames.stamp_ns, due_ns)) + 1, len(frames))
+            part = frames.part(first, last)
+            for stamp_ns, rows in part.tables():
+                self.estimator.add(stamp_ns, rows)
+            some = np.flatnonzero(np.diff(part.offset))
+            rows = part.frame(int(some[-1]) if len(some) else -1)
+            newest = self._added(int(part.stamp_ns[-1]), rows) or newest
+            first = last
+        return newest
+
+    def _added(self, stamp_ns: int, rows: NDArray[np.void]) -> LaneMap | None:
+        """See `add`; the estimator has the frame."""
         if len(rows):
             self._flags = rows["flags"]
         self._stamp_ns = stamp_ns

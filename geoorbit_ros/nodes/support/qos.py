@@ -62,3 +62,7 @@ def model_qos(depth: int) -> QoSProfile:
         reliability=ReliabilityPolicy.RELIABLE,
         durability=DurabilityPolicy.TRANSIENT_LOCAL,
     )
+
+
+LOOKS = stream_qos("best_effort", 64)
+"""To subscribe `view`, from whatever publisher: five seconds of a camera that shakes are kept."""

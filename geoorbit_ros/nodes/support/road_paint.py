@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import threading
+from collections import deque
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from sensor_msgs.msg import CompressedImage
+from sensor_msgs.msg import CompressedImage, PointCloud2
 from std_msgs.msg import Float64MultiArray
 
 from geoorbit_ros.calibration.plane import RoadPlane
-from geoorbit_ros.conversions import encode_png, plane_of
-from geoorbit_ros.core.errors import MessageError
+from geoorbit_ros.conversions import decode_table, encode_png, plane_of
+from geoorbit_ros.core.errors import GeoOrbitError, MessageError
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.markings.fusion import RoadPaint
 from geoorbit_ros.markings.road_image import SPACING_S, RoadBackground
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
-from geoorbit_ros.nodes.support.qos import LATCHED
+from geoorbit_ros.nodes.support.qos import LATCHED, LOOKS
 from geoorbit_ros.storage.image_cdr import decode_compressed_image
+from geoorbit_ros.view.compensation import ViewMotions, image_in_reference
+from geoorbit_ros.view.looks import VIEW_DTYPE, ViewLook, look_of
 
 TOPIC, PLANE_TOPIC = "road_image/compressed", "road_plane"
 FIRST_S = 30.0
@@ -39,6 +42,10 @@ class RoadImagePublisher:
         self._due_s = min(FIRST_S, period_s)
         self._work: threading.Thread | None = None
         self.published = 0
+        self._looks: deque[ViewLook] = deque(maxlen=LOOKS.depth)
+        self._motions: ViewMotions | None = None
+        self._view_topic = node.resolve_topic_name("view")
+        node.create_subscription(PointCloud2, "view", self._on_view, LOOKS, raw=True)
         self.restart()
 
     def restart(self) -> None:
@@ -48,13 +55,19 @@ class RoadImagePublisher:
         self._last_ns = 0
 
     def add(self, stamp_ns: int, frame_id: str, image: NDArray[np.uint8]) -> None:
-        """Take one image; every `period_s` the median is made in a thread of its own."""
+        """Take one image; every `period_s` the median is made in a thread of its own.
+
+        Where the view is watched, the image is laid on the reference view first; one that does not
+        show it is left out.
+        """
         if self._begin_ns is None:
             self._begin_ns = stamp_ns
         elif stamp_ns - self._last_ns < SPACING_S * 1e9:
             return
         self._last_ns = stamp_ns
-        self._background.add(image)
+        shown = self._in_reference(stamp_ns, image)
+        if shown is not None:
+            self._background.add(shown)
         if stamp_ns - self._begin_ns < self._due_s * 1e9:
             return
         if self._work is not None and self._work.is_alive():
@@ -64,6 +77,21 @@ class RoadImagePublisher:
         arguments = (stamp_ns, frame_id, background)
         self._work = threading.Thread(target=self._publish, args=arguments, name="road image")
         self._work.start()
+
+    def _on_view(self, cdr: bytes) -> None:
+        try:
+            stamp_ns, _, rows = decode_table(cdr, VIEW_DTYPE, self._view_topic)
+            self._looks.append(look_of(stamp_ns, rows, self._view_topic))
+        except GeoOrbitError as error:
+            self._node.diagnostics.refuse(error)
+
+    def _in_reference(self, stamp_ns: int, image: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
+        """The image as the reference view shows it; None where it does not show that view."""
+        if self._motions is None:
+            self._motions = ViewMotions((image.shape[1], image.shape[0]))
+        while self._looks:
+            self._motions.add(self._looks.popleft())
+        return image_in_reference(image, self._motions.at(stamp_ns))
 
     def close(self) -> None:
         """Wait until the one that is being made is out: tenths of a second."""

@@ -41,6 +41,26 @@ class CameraContent:
     lane_maps: int
 
 
+@dataclass(frozen=True, slots=True)
+class ViewEvent:
+    """A time in which a camera's view was in one state; see `view.timeline.ViewStretch`."""
+
+    start_ns: int
+    end_ns: int
+    state: str
+    blindness: str
+    view: int
+    moved_px: float
+    right_px: float
+    down_px: float
+    sway_px: float
+    found_s: float
+
+
+VIEW_COLUMNS = ", ".join(ViewEvent.__dataclass_fields__)
+"""Of `view_event`, as `ViewEvent` has them."""
+
+
 class TrajectoryReader:
     """What is committed in a trajectory database; never changes the file. Thread-safe.
 
@@ -119,6 +139,23 @@ class TrajectoryReader:
                 "SELECT stamp_ns FROM lane_map WHERE camera = ? ORDER BY stamp_ns", (key,)
             )
             return [stamp_ns for (stamp_ns,) in found]
+
+    def view_events(
+        self, camera_id: str, start_ns: int = _MIN_NS, end_ns: int = _MAX_NS
+    ) -> list[ViewEvent]:
+        """What happened to the view in that time, by its beginning; none in files of before."""
+        key = self._key(camera_id)
+        with self._lock, faults_as_sentences(self.path):
+            if not self._connection.execute(
+                "SELECT 1 FROM sqlite_master WHERE name = 'view_event'"
+            ).fetchone():
+                return []
+            found = self._connection.execute(
+                f"SELECT {VIEW_COLUMNS} FROM view_event WHERE camera = ? AND end_ns >= ?"
+                " AND start_ns < ? ORDER BY start_ns",
+                (key, start_ns, end_ns),
+            )
+            return [ViewEvent(*row) for row in found]
 
     def cameras(self) -> tuple[CameraContent, ...]:
         """What is committed, by camera id."""

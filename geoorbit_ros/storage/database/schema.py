@@ -142,6 +142,25 @@ MIGRATIONS: tuple[str, ...] = (
         data BLOB NOT NULL
     );
     """,
+    # 4: What happened to a camera's view, a row for each time in which it was in one state.
+    """
+    CREATE TABLE view_event (
+        id INTEGER PRIMARY KEY,
+        camera INTEGER NOT NULL REFERENCES camera (id),
+        start_ns INTEGER NOT NULL,
+        end_ns INTEGER NOT NULL,
+        state TEXT NOT NULL,
+        blindness TEXT NOT NULL,
+        view INTEGER NOT NULL,
+        moved_px REAL NOT NULL,
+        right_px REAL NOT NULL,
+        down_px REAL NOT NULL,
+        sway_px REAL NOT NULL,
+        found_s REAL NOT NULL,
+        UNIQUE (camera, start_ns)
+    );
+    CREATE INDEX view_event_age ON view_event (end_ns);
+    """,
 )
 """Script k brings a database of version k to k + 1. Never change one that was released: add.
 Scripts so far only add tables: readers take older files, too, and find those tables empty."""

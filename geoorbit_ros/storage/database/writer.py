@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import time
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,12 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import InputFileError, MessageError, TableError
 from geoorbit_ros.core.tables import TRACK_DTYPE
-from geoorbit_ros.storage.database.reader import CameraContent, TrajectoryReader
+from geoorbit_ros.storage.database.reader import (
+    VIEW_COLUMNS,
+    CameraContent,
+    TrajectoryReader,
+    ViewEvent,
+)
 from geoorbit_ros.storage.database.schema import encode_batch, faults_as_sentences
 
 __all__ = ["COMMIT_PERIOD_S", "CameraContent", "TrajectoryDatabase", "TrajectoryReader"]
@@ -26,6 +31,8 @@ _SPAN_NS = int(COMMIT_PERIOD_S * 1e9)
 """Longest batch, below `MAX_BATCH_SPAN_NS` of the schema."""
 _MIN_NS = -(2**62)
 """Earlier than any stamp."""
+PRUNED = (("track_batch", "end_ns"), ("lane_map", "stamp_ns"), ("view_event", "end_ns"))
+"""Tables of which old rows are deleted, with the column that says how old."""
 PRUNE_STEP = 64
 """Batches deleted in one call of `prune`. Chosen: takes milliseconds; more hold up the frames."""
 
@@ -106,6 +113,17 @@ class TrajectoryDatabase(TrajectoryReader):
                     (camera.key, stamp_ns, packed),
                 )
 
+    def put_view_events(self, camera_id: str, events: Iterable[ViewEvent]) -> None:
+        """Store what happened to the view, at once; one of the same beginning is replaced."""
+        with self._lock:
+            camera = self._cameras.get(camera_id) or self._camera(camera_id)
+            marks = ", ".join("?" * (1 + len(VIEW_COLUMNS.split(","))))
+            with self._transaction():
+                self._connection.executemany(
+                    f"INSERT OR REPLACE INTO view_event (camera, {VIEW_COLUMNS}) VALUES ({marks})",
+                    [(camera.key, *astuple(event)) for event in events],
+                )
+
     def flush(self) -> None:
         """Commit all frames taken so far.
 
@@ -152,7 +170,7 @@ class TrajectoryDatabase(TrajectoryReader):
         with self._lock:
             deleted = 0
             with self._transaction():
-                for table, column in (("track_batch", "end_ns"), ("lane_map", "stamp_ns")):
+                for table, column in PRUNED:
                     deleted += self._connection.execute(
                         f"DELETE FROM {table} WHERE id IN (SELECT id FROM {table}"
                         f" WHERE {column} < ? ORDER BY {column} LIMIT ?)",

@@ -92,4 +92,4 @@ def _whole(text: str) -> int | None:
         value = float(text.replace(",", "."))
     except ValueError:
         return None
-    return int(value) if value == int(value) else None
+    return int(value) if value.is_integer() else None

@@ -26,7 +26,7 @@ NO_ID = -1
 """What trackers write for a box that belongs to no track."""
 NO_ID_WORDS = ("", "nan", "none", "null", "na", "n/a", "<na>")
 """What else programs write for it, in small letters."""
-_NORMALISED = 1.5
+NORMALISED = 1.5
 """Boxes whose numbers are all below this are shares of the image, not pixels: the smallest image
 that has room for a vehicle is a hundred times as wide."""
 _PERCENT = 100.0
@@ -154,7 +154,7 @@ def _scale_shares(raw: RawTracks, size: tuple[int, int] | None) -> None:
     numbers = np.concatenate([raw.x, raw.y, raw.width, raw.height])
     numbers = numbers[np.isfinite(numbers)]
     sized = ~raw.ground_point & (raw.width > 0)
-    if not len(numbers) or not sized.any() or np.abs(numbers).max() > _NORMALISED:
+    if not len(numbers) or not sized.any() or np.abs(numbers).max() > NORMALISED:
         return
     if size is None:
         found = "boxes in shares of the image (0 to 1)"

@@ -70,7 +70,7 @@ def parse_times(text: pa.Array, name: str, report: InputReport) -> NDArray[np.in
         report: Takes what was assumed.
     """
     numbers = as_numbers(text)
-    if _are_days(numbers[np.isfinite(numbers)]) and not _named_unit(name):
+    if are_days(numbers[np.isfinite(numbers)]) and not _named_unit(name):
         told = f"column '{name}' is in days, as spreadsheets count them, by the size of its steps"
         report.note(Treatment.REPAIRED, told)
         since = _DAYS[0] if np.nanmax(numbers) >= _DAYS[0] else 0.0
@@ -84,7 +84,7 @@ def parse_times(text: pa.Array, name: str, report: InputReport) -> NDArray[np.in
     if not finite.any():
         return np.full(len(numbers), UNKNOWN_NS)
     named = _named_unit(name)
-    unit = named or _unit_by_size(numbers[finite])
+    unit = named or unit_by_size(numbers[finite])
     if unit != "s" and not named:
         report.note(Treatment.REPAIRED, f"column '{name}' is in {_WORDS[unit]}, by its size")
     seconds = numbers * _UNITS[unit]
@@ -102,7 +102,7 @@ def _named_unit(name: str) -> str | None:
     return ("ms", "us", "ns", "s")[(found.lastindex or 0) - 1] if found else None
 
 
-def _are_days(numbers: NDArray[np.float64]) -> bool:
+def are_days(numbers: NDArray[np.float64]) -> bool:
     """Whether times are days, or shares of one: a usual step between images apart."""
     steps = np.diff(np.unique(numbers))
     if len(steps) < _FEWEST_STEPS:
@@ -113,7 +113,8 @@ def _are_days(numbers: NDArray[np.float64]) -> bool:
     return bool(_STEP_S[0] <= float(np.median(steps)) * 86_400.0 <= _STEP_S[1])
 
 
-def _unit_by_size(numbers: NDArray[np.float64]) -> str:
+def unit_by_size(numbers: NDArray[np.float64]) -> str:
+    """The unit of times that nobody names: `s`, `ms`, `us` or `ns`."""
     usual = float(np.median(numbers))
     for least, unit in _SINCE_1970:
         if usual >= least:
@@ -133,13 +134,18 @@ def _exact(text: pa.Array, unit: str, seconds: NDArray[np.float64]) -> NDArray[n
     rough = np.rint(np.where(within, seconds, UNKNOWN_NS * 1e-9) * 1e9).astype(np.int64)
     if np.nanmax(seconds) < EXACT_TIME_S:
         return rough
+    exact = exact_ns(pc.if_else(pa.array(within), text, "0"), unit)
+    # More digits than the decimal holds: such a text came from a float64 anyway.
+    return rough if exact is None else exact
+
+
+def exact_ns(text: pa.Array, unit: str) -> NDArray[np.int64] | None:
+    """(N,) nanoseconds of decimal numbers; None where one has more digits than decimals hold."""
     digits = _DIGITS[unit]
-    plain = pc.if_else(pa.array(within), text, "0")
     try:
-        decimals = pc.cast(plain, pa.decimal128(38, 18))
+        decimals = pc.cast(text, pa.decimal128(38, 18))
     except (pa.ArrowInvalid, pa.ArrowNotImplementedError):
-        # More digits than the decimal holds: such a text came from a float64 anyway.
-        return rough
+        return None
     exact = pc.round(decimals, digits).cast(pa.decimal128(19, digits))
     words = np.frombuffer(exact.buffers()[1], np.int64)
     return words[2 * exact.offset :: 2][: len(exact)].copy()

@@ -86,6 +86,41 @@ def test_two_views_are_told_and_not_mixed(
     assert_right_lanes(folder / "out", processed)
 
 
+def test_a_bump_in_the_middle_is_told_and_moves_no_lane(
+    processed: Processed, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """From 15 s on the image lies 12 px to the right and 7 px up, turned by half a degree."""
+    film = cv2.VideoCapture(str(processed.film / "video.mp4"))
+    motion = np.vstack([cv2.getRotationMatrix2D((479.5, 269.5), 0.5, 1.0), [0.0, 0.0, 1.0]])
+    motion[:2, 2] += (12.0, -7.0)
+    folder = tmp_path / "film"
+    folder.mkdir()
+    for k in range(round(DURATION_S * FPS)):
+        image = film.read()[1]
+        if k >= 120:
+            image = cv2.warpPerspective(image, motion, SIZE, borderMode=cv2.BORDER_REFLECT_101)
+        assert cv2.imwrite(str(folder / f"{k:04}.jpg"), image)
+    words = ["process", str(folder), "--fps", str(FPS), "--out", str(folder / "out")]
+    assert main([*words, "--calibration", str(processed.film / "calibration.csv")]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    told = re.search(r"the image has moved by (\d+) px \((\d+) px to the right and 7 px up\)", said)
+    assert told, said
+    assert (int(told[1]), int(told[2])) == (14, 12)
+    at = re.search(r"from (\d+\.\d) s on, found again within", said)
+    assert at, said
+    assert float(at[1]) == pytest.approx(15.0, abs=0.5)
+    assert_right_lanes(folder / "out", processed)
+    first, second = (
+        read_lane_file(out / "lanes.geojson", processed.datum).lane_map.lanes
+        for out in (processed.out, folder / "out")
+    )
+    score = score_lanes(second, first)
+    assert (score.missed(), score.invented) == ((), ())
+    assert max(row.error_m.mean() for row in score.matched) <= 0.10
+    tracks = read_track_csv(folder / "out" / "tracks.csv", SIZE)
+    assert len(tracks.rows)
+
+
 def test_the_tracks_written_give_the_lanes_again(processed: Processed, tmp_path: Path) -> None:
     again = tmp_path / "lanes.geojson"
     words = ["lanes", "--tracks", str(processed.out / "tracks.csv"), "--out", str(again)]

@@ -346,3 +346,29 @@ def test_a_time_zone_that_there_is_not_is_one_sentence(tmp_path: Path) -> None:
     report = InputReport("fleet", "cameras")
     load_fleet(write(tmp_path, text), report)
     assert any("Mars/Base" in sentence for sentence in report.sentences())
+
+
+def test_the_view_of_every_camera_with_images_is_watched_unless_the_file_says_otherwise(
+    tmp_path: Path,
+) -> None:
+    presets = "\n    views: [{name: bridge, calibration: bridge.csv, image: bridge.png}]"
+    film = "  - {id: film, source: film.mp4, calibration: f.csv, image_size: [640, 480]}\n"
+    text = GOOD.replace("  - id: south", f"{film}  - id: south{presets}")
+    fleet, _ = load_fleet(write(tmp_path, text))
+    nodes = {
+        (n.executable, n.namespace): n.parameters
+        for p in plan_nodes(fleet, tmp_path, tmp_path / "out")
+        for n in p.nodes
+    }
+    assert ("view_watch", "north") not in nodes, "recorded boxes"
+    south, boxes = nodes["view_watch", "south"], nodes["homography", "south"]
+    assert south["view_images"] == f"bridge={tmp_path / 'bridge.png'}"
+    assert boxes["view_calibrations"] == f"bridge={tmp_path / 'bridge.csv'}"
+    assert south["calibration_file"] == boxes["calibration_file"]
+    assert not south["repeats_allowed"]
+    assert nodes["view_watch", "film"]["repeats_allowed"]
+    quiet = text.replace("id: film,", "id: film, watch_view: false,")
+    plans = plan_nodes(load_fleet(write(tmp_path, quiet))[0], tmp_path, tmp_path / "out")
+    assert ("view_watch", "film") not in {
+        (n.executable, n.namespace) for p in plans for n in p.nodes
+    }

@@ -109,6 +109,24 @@ def test_counts_and_speeds_are_those_of_the_turned_and_shifted_world() -> None:
     assert np.abs(gap_s).max() < 0.02
 
 
+@pytest.mark.parametrize("rows", [3, 5, 8, 12])
+def test_a_vehicle_is_on_the_line_for_as_long_whoever_is_counted_with_it(rows: int) -> None:
+    """One that brakes hard on the line, and is lost soon after."""
+    road = straight()
+    lanes = [lane(1, road)]
+    line_m = place_stations(lanes)[0].arc_m[0]
+    braking = drive(
+        lambda s: road(np.where(s < line_m, s, line_m + 0.1 * (s - line_m))),
+        10.0,
+        seen_m=(line_m - 40.0, line_m + rows),
+        noise_m=0.0,
+    )
+    other = drive(road, start_s=60.0, track_id=2)
+    alone, together = count(frames_of(braking), lanes), count(frames_of(braking, other), lanes)
+    assert len(alone.crossings) == 1
+    assert together.crossings[:1].tobytes() == alone.crossings.tobytes()
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_frame_by_frame_in_blocks_or_at_once_gives_the_same_bytes(seed: int) -> None:
     random = np.random.default_rng(seed)

@@ -1,0 +1,165 @@
+"""Frames of a long recording in a temporary file: a camera's day doesn't fit into memory.
+
+The file has no name in its folder from the beginning, so that nothing is left of it however the
+program ends. Only its index is in memory: 16 bytes a frame.
+"""
+
+from __future__ import annotations
+
+import mmap
+import multiprocessing.context
+import os
+import tempfile
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from multiprocessing.reduction import DupFd
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoorbit_ros.core.errors import InputFileError
+from geoorbit_ros.core.tables import Frames, bounds_of_blocks
+
+SPOOLED_ROWS = 1_000_000
+"""Recordings of more rows are kept in a file, and two processes work on them. Chosen: an hour of a
+quiet road takes five seconds; with fewer rows the start of a process costs more than it saves, with
+more they take memory."""
+
+
+class FrameSpool:
+    """Frames on disk, of rows of one dtype; what is asked for is read.
+
+    A process that is started with a spool among its arguments reads and writes the same file.
+
+    Args:
+        dtype: Of the rows.
+
+    Raises:
+        InputFileError: By every method, when the folder for temporary files has no room.
+    """
+
+    def __init__(self, dtype: np.dtype[np.void]) -> None:
+        self.dtype = dtype
+        with _told():
+            self._file = tempfile.TemporaryFile(prefix="geoorbit-", buffering=0)  # noqa: SIM115
+        self._stamps: list[NDArray[np.int64]] = []
+        self._counts: list[NDArray[np.int64]] = []
+        self._index: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None
+        self.row_count = 0
+
+    @classmethod
+    def of(cls, blocks: Iterable[Frames], dtype: np.dtype[np.void]) -> Self:
+        """A spool of frames in time order."""
+        spool = cls(dtype)
+        for frames in blocks:
+            spool.append(frames)
+        return spool
+
+    def append(self, frames: Frames) -> None:
+        """Take frames that are later than those before."""
+        self.put(self.row_count, frames.rows)
+        self.announce(frames.stamp_ns, np.diff(frames.offset))
+
+    def put(self, first_row: int, rows: NDArray[np.void]) -> None:
+        """Write rows at their place; `announce` says to which frames they belong."""
+        left = np.ascontiguousarray(rows, self.dtype).view(np.uint8).data
+        at = first_row * self.dtype.itemsize
+        with _told():
+            while left:
+                written = os.pwrite(self._file.fileno(), left, at)
+                left, at = left[written:], at + written
+
+    def announce(self, stamp_ns: NDArray[np.int64], counts: NDArray[np.int64]) -> None:
+        """Say which frames the next rows belong to.
+
+        Args:
+            stamp_ns: (F,) capture times, later than those before.
+            counts: (F,) rows of each frame.
+        """
+        self._stamps.append(stamp_ns)
+        self._counts.append(counts)
+        self.row_count += int(counts.sum())
+        self._index = None
+
+    def __len__(self) -> int:
+        return len(self.stamp_ns)
+
+    @property
+    def stamp_ns(self) -> NDArray[np.int64]:
+        """(F,) see `Frames`."""
+        return self._indexed()[0]
+
+    @property
+    def offset(self) -> NDArray[np.int64]:
+        """(F + 1,) see `Frames`."""
+        return self._indexed()[1]
+
+    def rows(self, first_row: int, last_row: int) -> NDArray[np.void]:
+        """Rows `first_row` to `last_row` - 1."""
+        size = (last_row - first_row) * self.dtype.itemsize
+        # Pages of their own: in the heap, block after block leaves holes that nothing fits into.
+        room = mmap.mmap(-1, max(size, 1))
+        rows = np.frombuffer(room, self.dtype, last_row - first_row)
+        left, at = rows.view(np.uint8).data, first_row * self.dtype.itemsize
+        while left:
+            read = os.preadv(self._file.fileno(), [left], at)
+            if not read:
+                raise InputFileError("temporary file", "its end", "all rows that were put into it")
+            left, at = left[read:], at + read
+        return rows
+
+    def part(self, first: int, last: int) -> Frames:
+        """Frames `first` to `last` - 1."""
+        stamp_ns, offset = self._indexed()
+        begin, end = int(offset[first]), int(offset[last])
+        rows = self.rows(begin, end)
+        return Frames(stamp_ns[first:last], offset[first : last + 1] - begin, rows)
+
+    def blocks(self, rows: int) -> Iterator[Frames]:
+        """See `Frames.blocks`."""
+        for first, last in bounds_of_blocks(self.offset, rows):
+            yield self.part(first, last)
+
+    def between(self, first_ns: int, last_ns: int) -> Frames:
+        """Frames from one stamp to another, both included."""
+        first = int(np.searchsorted(self.stamp_ns, first_ns))
+        last = int(np.searchsorted(self.stamp_ns, last_ns, side="right"))
+        return self.part(first, max(first, last))
+
+    def close(self) -> None:
+        """Give the room back."""
+        self._file.close()
+
+    def _indexed(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        if self._index is None:
+            none = np.empty(0, np.int64)
+            stamps, counts = (np.concatenate([none, *p]) for p in (self._stamps, self._counts))
+            self._stamps, self._counts = [stamps], [counts]
+            self._index = stamps, np.append(0, np.cumsum(counts))
+        return self._index
+
+    def __getstate__(self) -> dict[str, Any]:
+        if multiprocessing.context.get_spawning_popen() is None:
+            raise TypeError("a spool goes to a process only as it is started")
+        self._indexed()
+        return self.__dict__ | {"_file": DupFd(self._file.fileno()), "_index": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._file = os.fdopen(state["_file"].detach(), "r+b", buffering=0)
+
+
+AnyFrames = Frames | FrameSpool
+"""Of a recording, in memory or in a file."""
+
+
+@contextmanager
+def _told() -> Iterator[None]:
+    """A full disk is a sentence that says which one, and how to take another."""
+    try:
+        yield
+    except OSError as error:
+        place = os.environ.get("TMPDIR") or "folder for temporary files"
+        expected = "room for temporary files; the variable TMPDIR names another folder"
+        raise InputFileError(place, error.strerror or str(error), expected) from None
