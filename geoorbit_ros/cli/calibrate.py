@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -23,7 +24,7 @@ from geoorbit_ros.cli.inputs import (
     stated_image_size,
     with_image_size,
 )
-from geoorbit_ros.cli.place_on_map import place_on_map, whereabouts
+from geoorbit_ros.cli.place_on_map import NEAR_SIGMA_M, place_on_map, whereabouts
 from geoorbit_ros.core.errors import NoTrafficError, ParameterError
 
 if TYPE_CHECKING:
@@ -61,7 +62,13 @@ MapOption = Annotated[
     typer.Option("--map", help="Map to find the place on: OpenStreetMap extract or network."),
 ]
 NearSigmaOption = Annotated[
-    float, typer.Option("--near-sigma", min=0.1, max=1000.0, help="How exact --near is, metres.")
+    float | None,
+    typer.Option(
+        "--near-sigma",
+        min=0.1,
+        max=1000.0,
+        help=f"1σ of --near in metres; default: {NEAR_SIGMA_M:g}.",
+    ),
 ]
 LooksOption = Annotated[
     str | None, typer.Option("--looks", help="Where the camera looks, roughly: NE, or degrees.")
@@ -89,7 +96,7 @@ def calibrate(
     tracks: TracksOption = None,
     image_size: ImageSizeOption = None,
     near: NearOption = None,
-    near_sigma: NearSigmaOption = 50.0,
+    near_sigma: NearSigmaOption = None,
     looks: LooksOption = None,
     road_map: MapOption = None,
     points: PointsOption = None,
@@ -126,7 +133,7 @@ def calibrate(
     picture = picture or out.parent / PICTURE
     if picture.suffix.lower() not in (".png", ".jpg", ".jpeg"):
         raise ParameterError("option --picture", str(picture), "a name that ends in .png or .jpg")
-    origin = parse_datum(near)
+    origin = parse_datum(near, "--near")
     where = whereabouts(road_map, origin, near_sigma, looks, with_points=points is not None)
     if tracks is not None:
         options = read_options(fps, columns, classes, strict)
@@ -140,11 +147,13 @@ def calibrate(
     with status(f"fitting a camera to {len(frames)} frames"):
         camera = calibrate_from_traffic(frames, size, lens=lens, points=known)
         grid = control_grid(camera, datum, str(out))
-    placed, where_said = known is not None, list[str]()
+    placed, where_said = known is not None and len(known.pixel) > 1, list[str]()
     if where is not None:
         with status("looking for the road on the map"):
             on_map, where_said = place_on_map(grid, frames, size, where)
         placed, grid = on_map is not grid, on_map
+    if not placed:
+        grid = replace(grid, facts=replace(grid.facts, north_known=False))
     write_control_points(out, grid, _comments(camera, placed))
     write_image(picture, draw_traffic_calibration(camera, grid, view))
     said = "\n ".join([*sentences(camera, grid, placed, known is not None), *where_said])

@@ -597,8 +597,8 @@ def parse_driving_side(text: str | None) -> Side | None:
     raise ParameterError("option --driving-side", repr(text), "left or right")
 
 
-def parse_datum(text: str | None) -> Datum | None:
-    """The datum of `43.07,-89.40`.
+def parse_datum(text: str | None, option: str = "--datum") -> Datum | None:
+    """The datum of `43.07,-89.40`; `option` is its name, for the error.
 
     Raises:
         ParameterError: Not a latitude and a longitude in degrees.
@@ -612,7 +612,7 @@ def parse_datum(text: str | None) -> Datum | None:
     except ValueError:
         latitude = longitude = float("nan")
     if not (abs(latitude) <= 90 and abs(longitude) <= 180):
-        raise ParameterError("option --datum", repr(text), "LATITUDE,LONGITUDE in degrees")
+        raise ParameterError(f"option {option}", repr(text), "LATITUDE,LONGITUDE in degrees")
     return Datum(latitude, longitude)
 
 
