@@ -1,5 +1,4 @@
-"""Draws the figures of docs/guide-pole.md: the picture that `geoorbit calibrate` writes, for a camera
-that is right and for one that is wrong.
+"""Draws the figures of docs/guide-pole.md: the picture of `geoorbit calibrate`, right and wrong.
 
     .venv/bin/python docs/make_guide_figures.py
 
