@@ -24,7 +24,12 @@ from geoorbit_ros.cli.inputs import (
     stated_image_size,
     with_image_size,
 )
-from geoorbit_ros.cli.place_on_map import NEAR_SIGMA_M, place_on_map, whereabouts
+from geoorbit_ros.cli.place_on_map import (
+    NEAR_SIGMA_M,
+    Whereabouts,
+    place_on_map,
+    whereabouts,
+)
 from geoorbit_ros.core.errors import NoTrafficError, ParameterError
 
 if TYPE_CHECKING:
@@ -115,8 +120,7 @@ def calibrate(
     """Calibrate a camera from its traffic: focal length, tilt, roll, height and scale.
 
     A minute of traffic does, five are better. The scale is that of vehicles' usual sizes. Look at
-    the picture: the green boxes must stand on the road like the vehicles do. With --map and --near
-    the camera is laid on the map, or the places that fit are named.
+    the picture: green boxes must stand on the road like vehicles. --map finds the camera's place.
 
     Example: [bold]geoorbit calibrate north.mp4 --near 43.07,-89.40 --out calibration.csv[/bold]
     """
@@ -127,12 +131,8 @@ def calibrate(
     from geoorbit_ros.report.image_overlay import write_image
     from geoorbit_ros.report.traffic_calibration import draw_traffic_calibration
 
-    if (source is None) == (tracks is None):
-        found = "neither" if source is None else "both"
-        raise ParameterError("SOURCE and option --tracks", found, "exactly one of them")
-    picture = picture or out.parent / PICTURE
-    if picture.suffix.lower() not in (".png", ".jpg", ".jpeg"):
-        raise ParameterError("option --picture", str(picture), "a name that ends in .png or .jpg")
+    _check_one_input(source, tracks)
+    picture = _picture_path(picture or out.parent / PICTURE)
     origin = parse_datum(near, "--near")
     where = whereabouts(road_map, origin, near_sigma, looks, with_points=points is not None)
     if tracks is not None:
@@ -147,17 +147,38 @@ def calibrate(
     with status(f"fitting a camera to {len(frames)} frames"):
         camera = calibrate_from_traffic(frames, size, lens=lens, points=known)
         grid = control_grid(camera, datum, str(out))
-    placed, where_said = known is not None and len(known.pixel) > 1, list[str]()
-    if where is not None:
-        with status("looking for the road on the map"):
-            on_map, where_said = place_on_map(grid, frames, size, where)
-        placed, grid = on_map is not grid, on_map
-    if not placed:
-        grid = replace(grid, facts=replace(grid.facts, north_known=False))
+    on_map, where_said = _on_map(grid, frames, size, where)
+    placed = on_map is not grid or (known is not None and len(known.pixel) > 1)
+    grid = on_map if placed else _without_north(grid)
     write_control_points(out, grid, _comments(camera, placed))
     write_image(picture, draw_traffic_calibration(camera, grid, view))
     said = "\n ".join([*sentences(camera, grid, placed, known is not None), *where_said])
     console.print(f" {said}\n Wrote {out} and {picture}: look at the picture.", soft_wrap=True)
+
+
+def _check_one_input(source: str | None, tracks: Path | None) -> None:
+    if (source is None) == (tracks is None):
+        found = "neither" if source is None else "both"
+        raise ParameterError("SOURCE and option --tracks", found, "exactly one of them")
+
+
+def _picture_path(picture: Path) -> Path:
+    """The same, if a picture can have this name."""
+    if picture.suffix.lower() not in (".png", ".jpg", ".jpeg"):
+        raise ParameterError("option --picture", str(picture), "a name that ends in .png or .jpg")
+    return picture
+
+
+def _on_map(
+    grid: ControlPoints, frames: Frames, size: tuple[int, int], where: Whereabouts | None
+) -> tuple[ControlPoints, list[str]]:
+    """The points laid on the map, and what is to be said; unchanged without a map."""
+    from geoorbit_ros.cli.console import status
+
+    if where is None:
+        return grid, []
+    with status("looking for the road on the map"):
+        return place_on_map(grid, frames, size, where)
 
 
 def _view(image: str, size: tuple[int, int]) -> NDArray[np.uint8]:
@@ -205,6 +226,10 @@ def sentences(
     elif not placed:
         found.append("The file's north is where the camera looks: its true heading is not known.")
     return found
+
+
+def _without_north(grid: ControlPoints) -> ControlPoints:
+    return replace(grid, facts=replace(grid.facts, north_known=False))
 
 
 def _comments(camera: TrafficCalibration, placed: bool) -> list[str]:

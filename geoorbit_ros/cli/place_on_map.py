@@ -7,15 +7,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from geoorbit_ros.core.errors import ParameterError
 
 if TYPE_CHECKING:
     from geoorbit_ros.calibration.control_points import ControlPoints
     from geoorbit_ros.calibration.datum import Datum
     from geoorbit_ros.core.tables import Frames
-    from geoorbit_ros.mapcheck.placement import Placement
+    from geoorbit_ros.mapcheck.placement import Place, Placement
     from geoorbit_ros.roadnet.network import RoadNetwork
 
 NEAR_SIGMA_M = 50.0
@@ -114,6 +112,8 @@ def place_on_map(
         NoTrafficError: Too little traffic for lanes.
         RoadNetworkError: A map that can't be used, or that has no road like this one near.
     """
+    import numpy as np
+
     from geoorbit_ros.calibration.box_projector import BoxProjector
     from geoorbit_ros.calibration.homography import fit_homography
     from geoorbit_ros.lanes.estimators.estimator import make_estimator
@@ -150,13 +150,20 @@ def place_on_map(
             scale_sigma=min(points.facts.scale_sigma, float(np.sqrt(best.covariance[3, 3]))),
         ),
     )
+    return moved, _as_sentences([*said, *_found_at(best, where)])
+
+
+def _found_at(best: Place, where: Whereabouts) -> list[str]:
+    """Where the camera came out, and whether that is where it is said to be."""
+    import numpy as np
+
     looks_deg = (-np.degrees(best.turn_rad)) % 360.0
     here = best.points(np.zeros((1, 2)))
     latitude, longitude = where.near.to_geodetic(here)[0]
-    said.append(
+    said = [
         f"the camera is at {latitude:.6f},{longitude:.6f}, looking to {looks_deg:.0f}° "
         "(clockwise from north)"
-    )
+    ]
     away_m = float(np.hypot(*here[0]))
     if away_m > FAR_SIGMAS * where.near_sigma_m:
         said.append(
@@ -164,7 +171,7 @@ def place_on_map(
             f"± {where.near_sigma_m:g} m: is it this road, and is --looks right"
             "? Don't use the file before you know"
         )
-    return moved, _as_sentences(said)
+    return said
 
 
 def _surer(found: Placement, where: Whereabouts) -> list[str]:
@@ -198,6 +205,8 @@ def _network(where: Whereabouts) -> RoadNetwork:
 
 def _named(found: Placement, datum: Datum) -> list[str]:
     """The places that fit, for people to choose from."""
+    import numpy as np
+
     places = found.places[:SHOWN_PLACES]
     spots = np.array([place.points(np.zeros((1, 2)))[0] for place in places])
     return [
