@@ -76,7 +76,7 @@ def calibration_report(
     known_size = image_size or points.image_size
     if known_size is not None:
         report.remarks += _focal_doubts(homography, known_size)
-    if image_size is None or points.facts.image_size is not None:
+    if image_size is None:
         return report
     size = np.array(image_size, dtype=np.float64)
     beyond = np.maximum(-points.pixel, points.pixel - size) / size

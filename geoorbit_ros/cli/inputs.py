@@ -460,11 +460,12 @@ def _source(tracks: Path | None, bag: Path | None, calibration: Path, out: Path)
 def stated_image_size(calibration: Path) -> tuple[int, int] | None:
     """The image size that a control point file says; None where it says none, or isn't there."""
     from geoorbit_ros.calibration.camera_facts import read_facts
+    from geoorbit_ros.calibration.control_point_table import all_comments
     from geoorbit_ros.core.errors import InputFileError
     from geoorbit_ros.storage.tracks.csv_text import split_header
 
     try:
-        comments = split_header(calibration, "control points").comments
+        comments = all_comments(split_header(calibration, "control points"))
     except InputFileError:
         return None  # its reader says what is wrong with it
     return read_facts(comments, str(calibration)).image_size
