@@ -204,13 +204,10 @@ def behind_lens(points: ControlPoints, lens: Lens, place: str) -> ControlPoints:
         CalibrationError: The lens is of images that are no larger or smaller ones of these.
     """
     size = points.image_size or lens.image_size
-    if not same_view(lens.image_size, size):
-        of, to = (f"{a}x{b}" for a, b in (lens.image_size, size))
-        raise CalibrationError(place, f"the lens of {of} images", f"that of {to} images")
     if lens.image_size != size:
         text = f"{place}: the lens of {lens.image_size[0]}x{lens.image_size[1]} images is scaled"
+        lens = lens_of_images(lens, size, place)
         points.report.note(Treatment.NOTED, text)
-        lens = lens.scaled(size)
     note_odd_lens(points.report, lens, place)
     own = points.facts.lens
     if own is not None:
@@ -220,6 +217,18 @@ def behind_lens(points: ControlPoints, lens: Lens, place: str) -> ControlPoints:
         return points
     facts = CameraFacts(points.facts.image_size or size, lens, points.facts.scale_sigma)
     return replace(points, facts=facts, image_size=size)
+
+
+def lens_of_images(lens: Lens, image_size: tuple[int, int], place: str) -> Lens:
+    """A lens for images of a size.
+
+    Raises:
+        CalibrationError: The images can't show the same view as those that it is of.
+    """
+    if not same_view(lens.image_size, image_size):
+        of, to = (f"{a}x{b}" for a, b in (lens.image_size, image_size))
+        raise CalibrationError(place, f"the lens of {of} images", f"that of {to} images")
+    return lens if lens.image_size == image_size else lens.scaled(image_size)
 
 
 def difference_px(one: Lens, other: Lens) -> float:

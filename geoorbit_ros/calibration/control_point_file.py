@@ -35,7 +35,7 @@ METRES_PER_DEG = 111_320.0
 """Along the equator (WGS 84); along a meridian it is within 0.6 %."""
 DEGREES_SPREAD = 1.0
 """Ground coordinates that lie this close together are degrees, not metres: no road fits into a
-square metre, and a degree is a hundred kilometres."""
+square metre, and a degree is a hundred kilometres. A single point says nothing."""
 NORMALISED = 1.5
 """Pixels that are all below this are shares of the image: no road fits into two pixels."""
 OFF_MIDDLE = 0.15
@@ -196,7 +196,8 @@ def _positions(table: PointTable, datum: Datum | None) -> Array | None:
         text = f"{names} are coordinates of {projection.name}, as a comment says"
         report.note(Treatment.NOTED, text)
         return projection.to_geodetic(xy)
-    if np.ptp(xy, axis=0).max() <= DEGREES_SPREAD and np.abs(xy).max() <= 180.0:
+    near = len(xy) > 1 and np.ptp(xy, axis=0).max() <= DEGREES_SPREAD
+    if near and np.abs(xy).max() <= 180.0:
         report.note(Treatment.REPAIRED, f"{names} are degrees: taken as longitude and latitude")
         return xy[:, ::-1]
     return None if datum is None else _from_plane(table, datum)

@@ -17,6 +17,7 @@ from geoorbit_ros.cli.inputs import (
     MinScoreOption,
     ModelOption,
     StrictOption,
+    check_no_input,
     parse_datum,
     parse_names,
     read_options,
@@ -113,42 +114,57 @@ def calibrate(
 
     Example: [bold]geoorbit calibrate north.mp4 --near 43.07,-89.40 --out calibration.csv[/bold]
     """
+    from geoorbit_ros.calibration.camera_info import read_camera_info
     from geoorbit_ros.calibration.control_point_writer import write_control_points
     from geoorbit_ros.calibration.traffic.control_grid import control_grid
     from geoorbit_ros.calibration.traffic.estimate import calibrate_from_traffic
     from geoorbit_ros.cli.console import console, print_remarks, status
     from geoorbit_ros.report.image_overlay import write_image
     from geoorbit_ros.report.traffic_calibration import draw_traffic_calibration
+    from geoorbit_ros.storage.atomic import atomic_output
 
     if (source is None) == (tracks is None):
         found = "neither" if source is None else "both"
         raise ParameterError("SOURCE and option --tracks", found, "exactly one of them")
     picture = picture or out.parent / PICTURE
-    if picture.suffix.lower() not in (".png", ".jpg", ".jpeg"):
-        raise ParameterError("option --picture", str(picture), "a name that ends in .png or .jpg")
-    origin = parse_datum(near)
+    _check_outputs(out, picture, tracks, road_map, points, camera_info, source, image)
+    origin = parse_datum(near, "option --near")
     where = whereabouts(road_map, origin, near_sigma, looks, with_points=points is not None)
-    if tracks is not None:
-        options = read_options(fps, columns, classes, strict)
-        frames, size, report = _read(tracks, image_size, points, options)
-        print_remarks(report)
-        view = None
-    else:
-        frames, size, view = _look(str(source), fps, duration, model, class_names, min_score)
-    view = view if image is None else _view(image, size)
-    lens, known, datum = _given(points, camera_info, origin, size, strict)
-    with status(f"fitting a camera to {len(frames)} frames"):
-        camera = calibrate_from_traffic(frames, size, lens=lens, points=known)
-        grid = control_grid(camera, datum, str(out))
-    placed, where_said = known is not None, list[str]()
-    if where is not None:
-        with status("looking for the road on the map"):
-            on_map, where_said = place_on_map(grid, frames, size, where)
-        placed, grid = on_map is not grid, on_map
-    write_control_points(out, grid, _comments(camera, placed))
-    write_image(picture, draw_traffic_calibration(camera, grid, view))
+    given_lens = None if camera_info is None else read_camera_info(camera_info)
+    with atomic_output(out) as new_file, atomic_output(picture) as new_picture:
+        if tracks is not None:
+            options = read_options(fps, columns, classes, strict)
+            frames, size, report = _read(tracks, image_size, points, options)
+            print_remarks(report)
+            view = None
+        else:
+            frames, size, view = _look(str(source), fps, duration, model, class_names, min_score)
+        view = view if image is None else _view(image, size)
+        lens, known, datum = _given(points, given_lens, str(camera_info), origin, size, strict)
+        with status(f"fitting a camera to {len(frames)} frames"):
+            camera = calibrate_from_traffic(frames, size, lens=lens, points=known)
+            grid = control_grid(camera, datum, str(out))
+        placed, where_said = known is not None, list[str]()
+        if where is not None:
+            with status("looking for the road on the map"):
+                on_map, where_said = place_on_map(grid, frames, size, where)
+            placed, grid = on_map is not grid, on_map
+        write_control_points(new_file, grid, _comments(camera, placed))
+        write_image(new_picture, draw_traffic_calibration(camera, grid, view))
     said = "\n ".join([*sentences(camera, grid, placed, known is not None), *where_said])
     console.print(f" {said}\n Wrote {out} and {picture}: look at the picture.", soft_wrap=True)
+
+
+def _check_outputs(out: Path, picture: Path, *inputs: Path | str | None) -> None:
+    """Refuse what can't be written, before any work is done."""
+    if picture.suffix.lower() not in (".png", ".jpg", ".jpeg"):
+        raise ParameterError("option --picture", str(picture), "a name that ends in .png or .jpg")
+    if out.absolute() == picture.absolute():
+        raise ParameterError("option --out", f"{out}, the picture", "another path")
+    for option, file in (("option --out", out), ("option --picture", picture)):
+        if file.is_dir():
+            raise ParameterError(option, f"{file}, a folder", "the path of a file")
+        check_no_input(option, file, *(Path(given) for given in inputs if given))
 
 
 def _view(image: str, size: tuple[int, int]) -> NDArray[np.uint8]:
@@ -166,6 +182,7 @@ def sentences(
     camera: TrafficCalibration, grid: ControlPoints, placed: bool, with_points: bool
 ) -> list[str]:
     """What was found, and what would make it surer."""
+    from geoorbit_ros.calibration.traffic.estimate import ODD_POINT_SIGMAS
     from geoorbit_ros.calibration.traffic.parameters import ROLL, TILT
 
     (focal, focal_s), (height, height_s) = camera.focal_px, camera.height_m
@@ -179,6 +196,11 @@ def sentences(
         f"  height {height:.1f} ± {height_s:.1f} m; distances ± {100 * scale:.1f} %",
         f"Lens: {camera.lens_sentence}.",
     ]
+    if camera.points_off > ODD_POINT_SIGMAS:
+        found.append(
+            f"Doubtful: the points of --points are off by {camera.points_off:.1f} times their "
+            "errors. Are they of this image, in this size?"
+        )
     surer = []
     if len(camera.samples.group) < 60:
         surer.append("more traffic")
@@ -259,7 +281,8 @@ def _look(
 
 def _given(
     points: Path | None,
-    camera_info: Path | None,
+    lens: Lens | None,
+    lens_place: str,
     near: Datum | None,
     size: tuple[int, int],
     strict: bool,
@@ -267,23 +290,29 @@ def _given(
     """The lens and the points that the user knows, and the frame's origin."""
     import numpy as np
 
-    from geoorbit_ros.calibration.camera_info import read_camera_info
+    from geoorbit_ros.calibration.camera_info import behind_lens, lens_of_images
     from geoorbit_ros.calibration.control_point_file import read_control_points
     from geoorbit_ros.calibration.plane_fit import GROUND_SIGMA_M, PIXEL_SIGMA
     from geoorbit_ros.calibration.traffic.parameters import KnownPoints
+    from geoorbit_ros.cli.console import print_remarks
 
-    lens = None if camera_info is None else read_camera_info(camera_info).scaled(size)
+    lens = None if lens is None else lens_of_images(lens, size, lens_place)
     if points is None:
         return lens, None, near
     read = read_control_points(points, near, image_size=size, strict=strict, few=True)
-    if not len(read):
-        raise ParameterError("option --points", f"{points} without a point", "at least one")
-    lens = lens or read.facts.lens
+    if lens is not None and len(read):
+        read = behind_lens(read, lens, lens_place)
+    print_remarks(read.report)
+    lens = read.facts.lens or lens
     pixel = read.pixel if lens is None else lens.undistort(read.pixel)
+    seen = np.isfinite(pixel).all(axis=1)
+    if not seen.any():
+        beyond = f" that the lens can show, of {len(read)}" if len(read) else ""
+        raise ParameterError("option --points", f"{points} without a point{beyond}", "at least one")
 
     def sigma(given: NDArray[np.float64] | None, default: float) -> NDArray[np.float64]:
         values = np.full(len(read), default) if given is None else given
-        return np.where(np.isfinite(values), values, default)
+        return np.where(np.isfinite(values), values, default)[seen]
 
     sigma_px, sigma_m = sigma(read.sigma_px, PIXEL_SIGMA), sigma(read.sigma_m, GROUND_SIGMA_M)
-    return lens, KnownPoints(pixel, read.local_m, sigma_px, sigma_m), read.datum
+    return lens, KnownPoints(pixel[seen], read.local_m[seen], sigma_px, sigma_m), read.datum

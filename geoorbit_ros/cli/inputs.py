@@ -451,10 +451,19 @@ def _source(tracks: Path | None, bag: Path | None, calibration: Path, out: Path)
         raise ParameterError("options --tracks and --bag", found, "exactly one of them")
     source = tracks or bag
     assert source is not None
-    for file in (source, calibration):
-        if out.exists() and file.exists() and out.samefile(file):
-            raise ParameterError("option --out", f"{out}, an input", "another path")
+    check_no_input("option --out", out, source, calibration)
     return source
+
+
+def check_no_input(option: str, out: Path, *inputs: Path | None) -> None:
+    """Refuse an output that would replace an input.
+
+    Raises:
+        ParameterError: It is one of them.
+    """
+    for file in inputs:
+        if file is not None and out.exists() and file.exists() and out.samefile(file):
+            raise ParameterError(option, f"{out}, an input", "another path")
 
 
 def stated_image_size(calibration: Path) -> tuple[int, int] | None:
@@ -598,12 +607,17 @@ def parse_driving_side(text: str | None) -> Side | None:
     raise ParameterError("option --driving-side", repr(text), "left or right")
 
 
-def parse_datum(text: str | None) -> Datum | None:
+def parse_datum(text: str | None, option: str = "option --datum") -> Datum | None:
     """The datum of `43.07,-89.40`.
+
+    Args:
+        text: What the user wrote; None: nothing.
+        option: Where, for errors.
 
     Raises:
         ParameterError: Not a latitude and a longitude in degrees.
     """
+    from geoorbit_ros.calibration.control_point_file import GEODETIC_BOUND_DEG
     from geoorbit_ros.calibration.datum import Datum
 
     if text is None:
@@ -613,7 +627,10 @@ def parse_datum(text: str | None) -> Datum | None:
     except ValueError:
         latitude = longitude = float("nan")
     if not (abs(latitude) <= 90 and abs(longitude) <= 180):
-        raise ParameterError("option --datum", repr(text), "LATITUDE,LONGITUDE in degrees")
+        raise ParameterError(option, repr(text), "LATITUDE,LONGITUDE in degrees")
+    if abs(latitude) > GEODETIC_BOUND_DEG:
+        expected = "LATITUDE,LONGITUDE in this order: no road leads beyond 80 degrees of latitude"
+        raise ParameterError(option, repr(text), expected)
     return Datum(latitude, longitude)
 
 

@@ -256,7 +256,7 @@ def read_text(file: Path, kind: str, report: InputReport | None = None) -> YamlT
 
 
 _END = re.compile(r"\n---\s*\Z")
-"""The beginning of one more document, with nothing in it: `ros2 topic echo` ends each message so."""
+"""The beginning of one more document, with nothing in it: so `ros2 topic echo` ends a message."""
 
 
 def _load(text: str) -> object:
