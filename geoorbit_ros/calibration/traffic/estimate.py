@@ -24,6 +24,7 @@ from geoorbit_ros.calibration.traffic.parameters import (
     STEP,
     TILT,
     KnownPoints,
+    prior_residuals,
     projection_matrix,
 )
 from geoorbit_ros.calibration.traffic.samples import TrafficSamples, sample_traffic, whole
@@ -53,10 +54,10 @@ MAX_MISFIT = 2.0
 """Boxes that are off by more, over their usual errors, in the middle, are not those of vehicles
 before a camera that stands still. Real cameras have 0.4 to 0.9, one that turns 2.8, boxes anywhere
 6. Chosen: larger believes them, smaller refuses a bad detector."""
-MAX_CROOKED = 1.0
-"""Neighbours' ways that are less parallel than this, in sigma, are no road's. Real cameras have 0.2
-to 0.4, made ones up to 0.7, boxes of one size everywhere 1.2. Chosen: smaller refuses winding
-roads, larger believes boxes that no flat road explains."""
+MAX_UNUSUAL = 5.0
+"""So many sigma may a camera and its vehicles be from what is known of all beforehand. Real and
+made cameras are at 0.6 to 3.9, boxes of one size everywhere at 5.1. Chosen: smaller refuses unusual
+fleets, larger believes boxes that are no vehicles'."""
 AT_BOUND = 1e-3
 """A parameter that ends this near to a bound, as a share of its range, was stopped by it: the best
 camera lies beyond."""
@@ -257,12 +258,12 @@ def _check_fit(result: TrafficCalibration) -> None:
                 "a camera 2.5 to 90 m above a flat road, held nearly level, that looks down by 1 "
                 "to 80 degrees and sees 6 to 127 degrees of width",
             )
-    crooked = model.crooked(x)
-    if not crooked <= MAX_CROOKED:
+    unusual = float(np.abs(prior_residuals(x, result.image_size[0], None)).max())
+    if unusual > MAX_UNUSUAL:
         raise CalibrationError(
             PLACE_NAME,
-            f"ways of neighbours that are {crooked:.1f} times as crooked as a road's",
-            "boxes of vehicles on one flat road, which grow with nearness",
+            f"boxes that only vehicles or a camera {unusual:.1f} sigma from all others explain",
+            "boxes that grow with nearness, and classes that are the vehicles' (--classes)",
         )
 
 

@@ -290,11 +290,6 @@ class TrafficModel:
         whole = np.concatenate(parts)
         return np.asarray(np.nan_to_num(whole, nan=4.0, posinf=10.0, neginf=-10.0))
 
-    def crooked(self, x: Array) -> float:
-        """Root of the mean square of the angles between neighbours' ways, in sigma."""
-        turns = self._parallel(x, self.explain(x, 4))
-        return float(np.sqrt((turns**2).mean())) if len(turns) else 0.0
-
     def _parallel(self, x: Array, found: Explained) -> Array:
         """Angles in the image between neighbours' ways; each vehicle counts as two comparisons."""
         pairs = self._aside
