@@ -196,7 +196,7 @@ def _positions(table: PointTable, datum: Datum | None) -> Array | None:
         text = f"{names} are coordinates of {projection.name}, as a comment says"
         report.note(Treatment.NOTED, text)
         return projection.to_geodetic(xy)
-    near = len(xy) > 1 and np.ptp(xy, axis=0).max() <= DEGREES_SPREAD
+    near = len(np.unique(xy, axis=0)) > 1 and np.ptp(xy, axis=0).max() <= DEGREES_SPREAD
     if near and np.abs(xy).max() <= 180.0:
         report.note(Treatment.REPAIRED, f"{names} are degrees: taken as longitude and latitude")
         return xy[:, ::-1]

@@ -24,7 +24,7 @@ from geoorbit_ros.cli.inputs import (
     stated_image_size,
     with_image_size,
 )
-from geoorbit_ros.cli.place_on_map import place_on_map, whereabouts
+from geoorbit_ros.cli.place_on_map import Whereabouts, place_on_map, whereabouts
 from geoorbit_ros.core.errors import NoTrafficError, ParameterError
 
 if TYPE_CHECKING:
@@ -123,9 +123,7 @@ def calibrate(
     from geoorbit_ros.report.traffic_calibration import draw_traffic_calibration
     from geoorbit_ros.storage.atomic import atomic_output
 
-    if (source is None) == (tracks is None):
-        found = "neither" if source is None else "both"
-        raise ParameterError("SOURCE and option --tracks", found, "exactly one of them")
+    _check_one_input(source, tracks)
     picture = picture or out.parent / PICTURE
     _check_outputs(out, picture, tracks, road_map, points, camera_info, source, image)
     origin = parse_datum(near, "option --near")
@@ -144,15 +142,18 @@ def calibrate(
         with status(f"fitting a camera to {len(frames)} frames"):
             camera = calibrate_from_traffic(frames, size, lens=lens, points=known)
             grid = control_grid(camera, datum, str(out))
-        placed, where_said = known is not None, list[str]()
-        if where is not None:
-            with status("looking for the road on the map"):
-                on_map, where_said = place_on_map(grid, frames, size, where)
-            placed, grid = on_map is not grid, on_map
+        on_map, where_said = _on_map(grid, frames, size, where)
+        placed, grid = known is not None or on_map is not grid, on_map
         write_control_points(new_file, grid, _comments(camera, placed))
         write_image(new_picture, draw_traffic_calibration(camera, grid, view))
     said = "\n ".join([*sentences(camera, grid, placed, known is not None), *where_said])
     console.print(f" {said}\n Wrote {out} and {picture}: look at the picture.", soft_wrap=True)
+
+
+def _check_one_input(source: str | None, tracks: Path | None) -> None:
+    if (source is None) == (tracks is None):
+        found = "neither" if source is None else "both"
+        raise ParameterError("SOURCE and option --tracks", found, "exactly one of them")
 
 
 def _check_outputs(out: Path, picture: Path, *inputs: Path | str | None) -> None:
@@ -165,6 +166,18 @@ def _check_outputs(out: Path, picture: Path, *inputs: Path | str | None) -> None
         if file.is_dir():
             raise ParameterError(option, f"{file}, a folder", "the path of a file")
         check_no_input(option, file, *(Path(given) for given in inputs if given))
+
+
+def _on_map(
+    grid: ControlPoints, frames: Frames, size: tuple[int, int], where: Whereabouts | None
+) -> tuple[ControlPoints, list[str]]:
+    """The points laid on the map, and what is to be said; unchanged without a map."""
+    from geoorbit_ros.cli.console import status
+
+    if where is None:
+        return grid, []
+    with status("looking for the road on the map"):
+        return place_on_map(grid, frames, size, where)
 
 
 def _view(image: str, size: tuple[int, int]) -> NDArray[np.uint8]:

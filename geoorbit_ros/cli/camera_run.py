@@ -91,6 +91,10 @@ class WatchedMapper(LaneMapper):
         return renewed
 
 
+NO_VIEW = -1
+"""Key of what was seen while no view was known, where a view's number is expected."""
+
+
 @dataclass(slots=True)
 class CameraRun:
     """One camera's images on their way to lanes.
@@ -163,29 +167,35 @@ class CameraRun:
                 yield one_frame(stamp_ns, ground)
 
     def _keep_picture(self, seen: TrackedImage, at: ViewAt) -> NDArray[np.uint8] | None:
-        """Keep what the report shows of a view; the image as the view shows it."""
-        if not at.usable:
-            return None
-        shown = image_in_reference(seen.image, replace(at, view=MAIN_VIEW))
-        assert shown is not None, "a usable image"
-        fewest, _ = self.pictures.get(at.view, (len(seen.detections) + 1, shown))
+        """Keep what the report shows of a view; the image as the view shows it.
+
+        Images that no view is known of are kept, too: of a dark film they are all there is.
+        """
+        shown = image_in_reference(seen.image, replace(at, view=MAIN_VIEW)) if at.usable else None
+        view, image = (NO_VIEW, seen.image) if shown is None else (at.view, shown)
+        fewest, _ = self.pictures.get(view, (len(seen.detections) + 1, image))
         if len(seen.detections) < fewest:
-            self.pictures[at.view] = (len(seen.detections), shown.copy())
+            self.pictures[view] = (len(seen.detections), image.copy())
         if seen.stamp_ns - self._looked_ns >= SPACING_S * 1e9:
-            self.backgrounds.setdefault(at.view, RoadBackground()).add(shown)
+            self.backgrounds.setdefault(view, RoadBackground()).add(image)
             self._looked_ns = seen.stamp_ns
         return shown
 
     @property
     def picture(self) -> NDArray[np.uint8] | None:
         """A picture of the view that lanes are from."""
-        return self.pictures.get(self.views.main_view, (0, None))[1]
+        for view in (self.views.main_view, NO_VIEW):
+            if view in self.pictures:
+                return self.pictures[view][1]
+        return None
 
     @property
     def road(self) -> NDArray[np.uint8] | None:
         """The same without vehicles."""
-        background = self.backgrounds.get(self.views.main_view)
-        return None if background is None else background.image()
+        for view in (self.views.main_view, NO_VIEW):
+            if view in self.backgrounds:
+                return self.backgrounds[view].image()
+        return None
 
     def ground_tracks_again(self) -> Iterator[Frames]:
         """Frames of `TRACK_DTYPE` of all images that show the view seen longest, each as it lay."""
@@ -318,7 +328,12 @@ class CameraJob:
         except NoTrafficError as error:
             if not run.seen:
                 raise
-            self.nothing = str(error.found)
+            blind = all(view == NO_VIEW for view in run.backgrounds)
+            self.nothing = (
+                f"{len(run.seen)} images that show nothing: dark, covered or blank"
+                if blind
+                else str(error.found)
+            )
             return LaneMap(run.seen[-1][0], ())
 
     def _note_views(self, remarks: InputReport) -> None:

@@ -7,8 +7,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from geoorbit_ros.core.errors import ParameterError, RoadNetworkError
 
 if TYPE_CHECKING:
@@ -112,6 +110,8 @@ def place_on_map(
         NoTrafficError: Too little traffic for lanes.
         RoadNetworkError: A map that can't be used, or that has no road like this one near.
     """
+    import numpy as np
+
     from geoorbit_ros.calibration.box_projector import BoxProjector
     from geoorbit_ros.calibration.homography import fit_homography
     from geoorbit_ros.lanes.estimators.estimator import make_estimator
@@ -150,6 +150,8 @@ def place_on_map(
 
 
 def _network(road_map: Path, near: Datum) -> RoadNetwork:
+    import numpy as np
+
     from geoorbit_ros.roadnet.map_build import build_from_osm
     from geoorbit_ros.roadnet.network import load_network
     from geoorbit_ros.roadnet.network_file import is_network
@@ -171,6 +173,8 @@ def _network(road_map: Path, near: Datum) -> RoadNetwork:
 
 def _named(found: Placement, datum: Datum) -> list[str]:
     """The places that fit, for people to choose from."""
+    import numpy as np
+
     places = found.places[:SHOWN_PLACES]
     spots = np.array([place.points(np.zeros((1, 2)))[0] for place in places])
     return [

@@ -185,3 +185,11 @@ def test_a_sigma_that_nobody_has_does_not_decide_alone(tmp_path: Path) -> None:
     assert "3 of" in next(found.report.sentences())
     near = np.abs(fit_homography(found).to_ground(points.pixel) - points.local_m)
     assert near.max() < 0.01
+
+
+def test_a_single_point_in_metres_is_not_taken_for_degrees(tmp_path: Path) -> None:
+    file = tmp_path / "points.csv"
+    file.write_text("pixel_x,pixel_y,x_m,y_m\n640,500,0,20\n640,500,0,20\n")
+    found = read_control_points(file, few=True)
+    assert found.datum is None
+    assert found.local_m.tolist() == [[0.0, 20.0]]

@@ -80,12 +80,12 @@ def test_control_points_of_a_larger_image_are_told(
     assert "the image is 160x120, but the control points reach pixel" in said
 
 
-def test_an_empty_road_has_no_lanes_and_its_files(
+def test_blank_images_have_no_lanes_and_all_files(
     capsys: pytest.CaptureFixture[str], camera: CameraFiles, tmp_path: Path
 ) -> None:
     images = write_images(tmp_path / "images", [IMAGE_SIZE] * 3)
     said = empty(capsys, camera, tmp_path / "out", images)
-    assert "no lane: 3 frames without a vehicle on the road" in said
+    assert "no lane: 3 images that show nothing: dark, covered or blank" in said
 
 
 def test_a_stream_needs_a_duration_and_is_given_up_in_one_sentence(
