@@ -83,10 +83,10 @@ def read_control_points(
             _check_datum(position, datum, table)
         local_m = datum.to_local(*position.T) if datum and len(position) else np.empty((0, 2))
     middle = np.median(local_m, axis=0) if len(local_m) else np.zeros(2)
-    near = np.asarray(np.linalg.norm(local_m - middle, axis=1) <= MAX_EXTENT_M)
+    near = np.linalg.norm(local_m - middle, axis=1) <= MAX_EXTENT_M
     table.keep(near, f"more than {MAX_EXTENT_M / 1000:g} km from the others")
     local_m = local_m[near]
-    _, first = np.unique(np.hstack((table.values[:, :2], local_m)), axis=0, return_index=True)
+    first = np.unique(np.hstack((table.values[:, :2], local_m)), axis=0, return_index=True)[1]
     once = np.isin(np.arange(len(local_m)), first)
     table.keep(once, "the same point as in an earlier line")
     _note_contradictions(table)
@@ -95,10 +95,8 @@ def read_control_points(
     points = ControlPoints(
         pixel, local_m, datum, table.line, place, table.report, facts, facts.image_size, *sigmas
     )
-    if image_size is not None:
-        points = of_images(points, image_size)
-    if points.facts.lens is not None:
-        note_odd_lens(points.report, points.facts.lens, "line '# lens:'")
+    points = points if image_size is None else of_images(points, image_size)
+    note_odd_lens(points.report, points.facts.lens, "line '# lens:'")
     if strict:
         points.report.check(strict, EXPECTED)
     if not few:
@@ -106,14 +104,16 @@ def read_control_points(
     return points
 
 
-def note_odd_lens(report: InputReport, lens: Lens, place: str) -> None:
+def note_odd_lens(report: InputReport, lens: Lens | None, place: str) -> None:
     """Say what hardly any lens is, and what numbers of another image size look like.
 
     Args:
         report: Of the control points.
-        lens: Scaled to the image.
+        lens: Scaled to the image; None: nothing is to be said.
         place: Where it is from, for people.
     """
+    if lens is None:
+        return
     width, height = lens.image_size
     off = abs(lens.cx / width - 0.5), abs(lens.cy / height - 0.5)
     if max(off) > OFF_MIDDLE:

@@ -136,22 +136,7 @@ def read_point_table(found: CsvBody, place: str) -> PointTable:
         all_comments(found),
         np.array([[_number(cell) for cell in row] for row in sigmas]).reshape(-1, 2),
     )
-    odd = np.array([any(row) for row in sigmas], dtype=np.bool_)
-    odd &= ~((table.sigma > 0.0) | [[not cell for cell in row] for row in sigmas]).all(axis=1)
-    if odd.any():
-        k = int(np.argmax(odd))
-        text = "a sigma that is no positive number; the usual one is taken"
-        table.report.add(Treatment.REPAIRED, int(odd.sum()), text, table.shown(k))
-    table.sigma[~(table.sigma > 0.0)] = np.nan
-    bounded = np.clip(table.sigma, *SIGMA_BOUNDS)
-    beyond = (bounded != table.sigma) & np.isfinite(table.sigma)
-    if beyond.any():
-        k = int(np.argmax(beyond.any(axis=1)))
-        (least_px, least_m), (most_px, most_m) = SIGMA_BOUNDS
-        text = f"a sigma beyond {least_px:g} to {most_px:g} px, {least_m:g} to {most_m:g} m; "
-        count = int(beyond.any(axis=1).sum())
-        table.report.add(Treatment.REPAIRED, count, f"{text}the bound is taken", table.shown(k))
-    table.sigma = bounded
+    _check_sigmas(table, sigmas)
     if found.repaired:
         table.report.note(Treatment.REPAIRED, found.repaired)
     if len(at) > 4:
@@ -161,6 +146,26 @@ def read_point_table(found: CsvBody, place: str) -> PointTable:
             said_no = ~said_no & np.array([bool(row[4]) for row in cells], dtype=np.bool_)
         table.keep(~said_no, f"switched off in column '{switch}'", Treatment.NOTED)
     return table
+
+
+def _check_sigmas(table: PointTable, cells: list[list[str]]) -> None:
+    """NaN for sigmas that are none, and those that nobody has put at `SIGMA_BOUNDS`; told."""
+    odd = np.array([any(row) for row in cells], dtype=np.bool_)
+    odd &= ~((table.sigma > 0.0) | [[not cell for cell in row] for row in cells]).all(axis=1)
+    if odd.any():
+        k = int(np.argmax(odd))
+        text = "a sigma that is no positive number; the usual one is taken"
+        table.report.add(Treatment.REPAIRED, int(odd.sum()), text, table.shown(k))
+    table.sigma[~(table.sigma > 0.0)] = np.nan
+    bounded = np.clip(table.sigma, *SIGMA_BOUNDS)
+    beyond = ((bounded != table.sigma) & np.isfinite(table.sigma)).any(axis=1)
+    if beyond.any():
+        k = int(np.argmax(beyond))
+        (least_px, least_m), (most_px, most_m) = SIGMA_BOUNDS
+        text = f"a sigma beyond {least_px:g} to {most_px:g} px, {least_m:g} to {most_m:g} m; "
+        text += "the bound is taken"
+        table.report.add(Treatment.REPAIRED, int(beyond.sum()), text, table.shown(k))
+    table.sigma = bounded
 
 
 def all_comments(found: CsvBody) -> tuple[str, ...]:

@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from geoorbit_ros.calibration.lens import Lens
     from geoorbit_ros.calibration.traffic.estimate import TrafficCalibration
     from geoorbit_ros.calibration.traffic.parameters import KnownPoints
-    from geoorbit_ros.core.input_report import InputReport
     from geoorbit_ros.core.tables import Frames
     from geoorbit_ros.storage.tracks.cleaning import ReadOptions
 
@@ -118,7 +117,7 @@ def calibrate(
     from geoorbit_ros.calibration.control_point_writer import write_control_points
     from geoorbit_ros.calibration.traffic.control_grid import control_grid
     from geoorbit_ros.calibration.traffic.estimate import calibrate_from_traffic
-    from geoorbit_ros.cli.console import console, print_remarks, status
+    from geoorbit_ros.cli.console import status
     from geoorbit_ros.report.image_overlay import write_image
     from geoorbit_ros.report.traffic_calibration import draw_traffic_calibration
     from geoorbit_ros.storage.atomic import atomic_output
@@ -132,22 +131,26 @@ def calibrate(
     with atomic_output(out) as new_file, atomic_output(picture) as new_picture:
         if tracks is not None:
             options = read_options(fps, columns, classes, strict)
-            frames, size, report = _read(tracks, image_size, points, options)
-            print_remarks(report)
-            view = None
+            frames, size, view = _read(tracks, image_size, points, options)
         else:
             frames, size, view = _look(str(source), fps, duration, model, class_names, min_score)
         view = view if image is None else _view(image, size)
         lens, known, datum = _given(points, given_lens, str(camera_info), origin, size, strict)
         with status(f"fitting a camera to {len(frames)} frames"):
             camera = calibrate_from_traffic(frames, size, lens=lens, points=known)
-            grid = control_grid(camera, datum, str(out))
+        grid = control_grid(camera, datum, str(out))
         on_map, where_said = _on_map(grid, frames, size, where)
         placed, grid = known is not None or on_map is not grid, on_map
         write_control_points(new_file, grid, _comments(camera, placed))
         write_image(new_picture, draw_traffic_calibration(camera, grid, view))
-    said = "\n ".join([*sentences(camera, grid, placed, known is not None), *where_said])
-    console.print(f" {said}\n Wrote {out} and {picture}: look at the picture.", soft_wrap=True)
+    _tell([*sentences(camera, grid, placed, known is not None), *where_said], out, picture)
+
+
+def _tell(said: list[str], out: Path, picture: Path) -> None:
+    from geoorbit_ros.cli.console import console
+
+    text = "\n ".join([*said, f"Wrote {out} and {picture}: look at the picture."])
+    console.print(f" {text}", soft_wrap=True)
 
 
 def _check_one_input(source: str | None, tracks: Path | None) -> None:
@@ -242,9 +245,9 @@ def _comments(camera: TrafficCalibration, placed: bool) -> list[str]:
 
 def _read(
     tracks: Path, image_size: str | None, points: Path | None, options: ReadOptions
-) -> tuple[Frames, tuple[int, int], InputReport]:
-    """Frames of a track file, the image size, and what is to be said about it."""
-    from geoorbit_ros.cli.console import status
+) -> tuple[Frames, tuple[int, int], NDArray[np.uint8] | None]:
+    """Frames of a track file, the image size and no image; what is to be said of it is said."""
+    from geoorbit_ros.cli.console import print_remarks, status
     from geoorbit_ros.cli.inputs import ASSUMED_SIZE
     from geoorbit_ros.storage.tracks.reader import read_tracks
 
@@ -252,7 +255,8 @@ def _read(
     options = with_image_size(image_size, options, stated)
     with status(f"reading {tracks}"):
         frames, report = read_tracks(tracks, options)
-    return frames, report.image_size or ASSUMED_SIZE, report
+    print_remarks(report)
+    return frames, report.image_size or ASSUMED_SIZE, None
 
 
 def _look(
