@@ -122,28 +122,26 @@ def calibrate(
     from geoorbit_ros.report.traffic_calibration import draw_traffic_calibration
     from geoorbit_ros.storage.atomic import atomic_output
 
-    _check_one_input(source, tracks)
-    picture = picture or out.parent / PICTURE
-    _check_outputs(out, picture, tracks, road_map, points, camera_info, source, image)
+    picture = _checked_picture(picture, out, source, tracks, road_map, points, camera_info, image)
     origin = parse_datum(near, "option --near")
     where = whereabouts(road_map, origin, near_sigma, looks, with_points=points is not None)
-    given_lens = None if camera_info is None else read_camera_info(camera_info)
+    told_lens = read_camera_info(camera_info) if camera_info else None
     with atomic_output(out) as new_file, atomic_output(picture) as new_picture:
         if tracks is not None:
-            options = read_options(fps, columns, classes, strict)
-            frames, size, view = _read(tracks, image_size, points, options)
+            read = read_options(fps, columns, classes, strict)
+            frames, size, view = _read(tracks, image_size, points, read)
         else:
             frames, size, view = _look(str(source), fps, duration, model, class_names, min_score)
-        view = view if image is None else _view(image, size)
-        lens, known, datum = _given(points, given_lens, str(camera_info), origin, size, strict)
+        view = _view(image, size) if image else view
+        lens, known, datum = _given(points, told_lens, str(camera_info), origin, size, strict)
         with status(f"fitting a camera to {len(frames)} frames"):
             camera = calibrate_from_traffic(frames, size, lens=lens, points=known)
         grid = control_grid(camera, datum, str(out))
         on_map, where_said = _on_map(grid, frames, size, where)
-        placed, grid = known is not None or on_map is not grid, on_map
-        write_control_points(new_file, grid, _comments(camera, placed))
-        write_image(new_picture, draw_traffic_calibration(camera, grid, view))
-    _tell([*sentences(camera, grid, placed, known is not None), *where_said], out, picture)
+        placed = known is not None or on_map is not grid
+        write_control_points(new_file, on_map, _comments(camera, placed))
+        write_image(new_picture, draw_traffic_calibration(camera, on_map, view))
+    _tell([*sentences(camera, on_map, placed, known is not None), *where_said], out, picture)
 
 
 def _tell(said: list[str], out: Path, picture: Path) -> None:
@@ -159,8 +157,16 @@ def _check_one_input(source: str | None, tracks: Path | None) -> None:
         raise ParameterError("SOURCE and option --tracks", found, "exactly one of them")
 
 
-def _check_outputs(out: Path, picture: Path, *inputs: Path | str | None) -> None:
-    """Refuse what can't be written, before any work is done."""
+def _checked_picture(
+    picture: Path | None,
+    out: Path,
+    source: str | None,
+    tracks: Path | None,
+    *others: Path | str | None,
+) -> Path:
+    """Where the picture goes; outputs that can't be written are refused before any work is done."""
+    _check_one_input(source, tracks)
+    picture = picture or out.parent / PICTURE
     if picture.suffix.lower() not in (".png", ".jpg", ".jpeg"):
         raise ParameterError("option --picture", str(picture), "a name that ends in .png or .jpg")
     if out.absolute() == picture.absolute():
@@ -168,7 +174,8 @@ def _check_outputs(out: Path, picture: Path, *inputs: Path | str | None) -> None
     for option, file in (("option --out", out), ("option --picture", picture)):
         if file.is_dir():
             raise ParameterError(option, f"{file}, a folder", "the path of a file")
-        check_no_input(option, file, *(Path(given) for given in inputs if given))
+        check_no_input(option, file, *(Path(given) for given in (source, tracks, *others) if given))
+    return picture
 
 
 def _on_map(
