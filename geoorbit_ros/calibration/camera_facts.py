@@ -5,6 +5,7 @@ Comment lines, each once and in any order, in the manner of `# CRS: EPSG:25832`:
     # image_size: 1920x1080
     # lens: plumb_bob fx fy cx cy k1 k2 p1 p2 k3
     # scale_sigma: 0.03
+    # north: unknown
 """
 
 from __future__ import annotations
@@ -19,12 +20,15 @@ from geoorbit_ros.calibration.lens import MODEL, Lens
 from geoorbit_ros.core.errors import CalibrationError
 
 _FACT = re.compile(
-    rf"#\s*(image[_ -]?size|lens|scale[_ -]?sigma)(?:\s*[:=]\s*|\s+(?={MODEL}\b|[\d.]))(.*?)\s*",
+    r"#\s*(image[_ -]?size|lens|scale[_ -]?sigma|north)"
+    rf"(?:\s*[:=]\s*|\s+(?={MODEL}\b|[\d.]))(.*?)\s*",
     re.IGNORECASE,
 )
 """Without the colon only where a number or the model follows: other comments are for people."""
 _SIZE = re.compile(r"(\d{2,5})\s*[x×*]\s*(\d{2,5})(?:\s*(?:px|pixels?))?", re.IGNORECASE)
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(?:e[+-]?\d+)?", re.IGNORECASE)
+UNKNOWN = "unknown"
+"""What the line `# north:` may say; a file without it has true north."""
 MAX_SCALE_SIGMA = 0.5
 """A scale less certain than this is none."""
 SAME_ASPECT = 0.005
@@ -44,11 +48,13 @@ class CameraFacts:
         image_size: (width, height) of the image that the pixels belong to; None: nobody says.
         lens: Its distortion; None: none, or not known.
         scale_sigma: Relative 1-sigma error of all distances between the points, common to them.
+        north_known: Whether y of the points is true north; else it is any direction.
     """
 
     image_size: tuple[int, int] | None = None
     lens: Lens | None = None
     scale_sigma: float = 0.0
+    north_known: bool = True
 
     def lines(self) -> list[str]:
         """The comment lines that say so."""
@@ -59,6 +65,8 @@ class CameraFacts:
             found.append(f"# lens: {MODEL} " + " ".join(f"{n:.9g}" for n in self.lens.numbers))
         if self.scale_sigma > 0.0:
             found.append(f"# scale_sigma: {self.scale_sigma:.4g}")
+        if not self.north_known:
+            found.append(f"# north: {UNKNOWN}")
         return found
 
     def scaled(self, image_size: tuple[int, int]) -> CameraFacts:
@@ -96,7 +104,10 @@ def read_facts(
     size = _size(said["image_size"], place) if "image_size" in said else None
     lens = _lens(said["lens"], place, size or image_size) if "lens" in said else None
     sigma = _scale_sigma(said["scale_sigma"], place) if "scale_sigma" in said else 0.0
-    return CameraFacts(size, lens, sigma)
+    if (north := said.get("north", UNKNOWN)).lower() != UNKNOWN:
+        expected = f"'{UNKNOWN}', or no such line"
+        raise CalibrationError(f"{place}, '# north:'", f"'{north[:40]}'", expected)
+    return CameraFacts(size, lens, sigma, "north" not in said)
 
 
 def same_view(one: tuple[int, int], other: tuple[int, int]) -> bool:

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from pydantic import ConfigDict, Field
 
-from geoorbit_ros.calibration.camera_facts import CameraFacts, same_view
+from geoorbit_ros.calibration.camera_facts import same_view
 from geoorbit_ros.calibration.control_point_file import note_odd_lens, read_control_points
 from geoorbit_ros.calibration.control_points import ControlPoints
 from geoorbit_ros.calibration.datum import Datum
@@ -215,7 +215,7 @@ def behind_lens(points: ControlPoints, lens: Lens, place: str) -> ControlPoints:
             text = f"{place} says another lens than the one that is used, which was known before"
             points.report.note(Treatment.NOTED, text)
         return points
-    facts = CameraFacts(points.facts.image_size or size, lens, points.facts.scale_sigma)
+    facts = replace(points.facts, image_size=points.facts.image_size or size, lens=lens)
     return replace(points, facts=facts, image_size=size)
 
 

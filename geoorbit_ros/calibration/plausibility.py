@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.camera_pose import CameraPose, recover_pose
 from geoorbit_ros.calibration.plane import Homography
+from geoorbit_ros.calibration.point_advice import point_remarks
 from geoorbit_ros.calibration.traffic_findings import (
     COLUMNS,
     TIME,
@@ -73,9 +74,13 @@ def calibration_report(
         text = f"they disagree with the others ({'; '.join(shown)}{more})"
         report.add(Treatment.LEFT_OUT, len(dropped), text)
     report.remarks += homography.remarks
+    if not points.facts.north_known:
+        text = "their north is not true north: places and directions on the map are not right"
+        report.note(Treatment.NOTED, text)
     known_size = image_size or points.image_size
     if known_size is not None:
         report.remarks += _focal_doubts(homography, known_size)
+        report.remarks += point_remarks(homography, known_size)
     if image_size is None:
         return report
     size = np.array(image_size, dtype=np.float64)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from geoorbit_ros.calibration.homography import GROUND_SIGMA_M, PIXEL_SIGMA
 from geoorbit_ros.calibration.plane import Homography
 from geoorbit_ros.core.errors import CalibrationError
+from geoorbit_ros.core.input_report import Remark, Treatment
 
 Array = NDArray[np.float64]
 
@@ -37,6 +38,9 @@ MAX_PIXEL_M = 0.5
 """Nor where a pixel is longer than this on the road, in its shorter direction: nobody clicks it
 exactly. Where one is longer than `ROAD_PIXEL_M` the road is not judged, either."""
 ROAD_PIXEL_M = 0.3
+UNSURE_M = 0.5
+"""Where the road in view is known less exactly, it is told. Chosen: a seventh of a lane; larger is
+told too late to keep lanes apart, smaller of every file with four points."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +69,7 @@ class PointAdvice:
         """The same for a person; `line_number` (N,) names the points."""
         said = [f"the road in view is known to ± {self.sigma_m:.2f} m"]
         if self.misfit > MISFIT:
-            said.append(f"the points are off by {self.misfit:.1f} times what is expected of them")
+            said.append(self._misfit_sentence())
         if self.wrong.any() and self.told:
             worst = np.flatnonzero(self.wrong)[np.argsort(-self.sigmas[self.wrong])]
             named = ", ".join(f"{line_number[k]} ({self.sigmas[k]:.0f}σ)" for k in worst[:5])
@@ -74,12 +78,53 @@ class PointAdvice:
             said.append(
                 f"the points disagree; which one is wrong can be told from {MIN_TOLD} points on"
             )
+        said.append(self.next_sentence())
+        return said
+
+    def next_sentence(self) -> str:
+        """Where one more point helps most."""
         u, v = self.next_pixel
-        said.append(
+        return (
             f"a further point near pixel ({u:.0f}, {v:.0f}) would help most: ± "
             f"{self.next_sigma_m:.2f} m"
         )
-        return said
+
+    def _misfit_sentence(self) -> str:
+        return f"the points are off by {self.misfit:.1f} times what is expected of them"
+
+    def remarks(self, homography: Homography) -> list[Remark]:
+        """What a person should be told who did not ask; empty where the points are good.
+
+        Points that the fit left out are not named: they are told with the fit.
+        """
+        said = []
+        number = homography.points.line_number
+        pulled = np.flatnonzero(self.wrong & homography.residual.inlier)
+        if len(pulled) and self.told:
+            worst = pulled[np.argsort(-self.sigmas[pulled])][:5]
+            named = ", ".join(f"line {number[k]} by {self.sigmas[k]:.0f}σ" for k in worst)
+            said.append(f"used, but off against all others: {named}")
+        elif self.misfit > MISFIT:
+            more = f"; which one is wrong can be told from {MIN_TOLD} points on"
+            said.append(self._misfit_sentence() + ("" if self.told else more))
+        if said or self.sigma_m > UNSURE_M:
+            said.append(f"the road in view is known to ± {self.sigma_m:.2f} m")
+            said.append(self.next_sentence())
+        return [Remark(Treatment.NOTED, 0, "; ".join(said))] if said else []
+
+
+def point_remarks(homography: Homography, image_size: tuple[int, int]) -> list[Remark]:
+    """What is to be said about points that a person clicked; nothing where they are good.
+
+    Points that were computed from traffic are nobody's clicks: their file says how sure it is.
+    """
+    if homography.points.facts.scale_sigma > 0.0:
+        return []
+    try:
+        advice = advise(homography, image_size)
+    except CalibrationError:
+        return []  # they show no road near the camera: no place for another point is known
+    return advice.remarks(homography)
 
 
 def advise(

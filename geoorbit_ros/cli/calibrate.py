@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -24,7 +25,12 @@ from geoorbit_ros.cli.inputs import (
     stated_image_size,
     with_image_size,
 )
-from geoorbit_ros.cli.place_on_map import Whereabouts, place_on_map, whereabouts
+from geoorbit_ros.cli.place_on_map import (
+    NEAR_SIGMA_M,
+    Whereabouts,
+    place_on_map,
+    whereabouts,
+)
 from geoorbit_ros.core.errors import NoTrafficError, ParameterError
 
 if TYPE_CHECKING:
@@ -61,7 +67,13 @@ MapOption = Annotated[
     typer.Option("--map", help="Map to find the place on: OpenStreetMap extract or network."),
 ]
 NearSigmaOption = Annotated[
-    float, typer.Option("--near-sigma", min=0.1, max=1000.0, help="How exact --near is, metres.")
+    float | None,
+    typer.Option(
+        "--near-sigma",
+        min=0.1,
+        max=1000.0,
+        help=f"1σ of --near in metres; default: {NEAR_SIGMA_M:g}.",
+    ),
 ]
 LooksOption = Annotated[
     str | None, typer.Option("--looks", help="Where the camera looks, roughly: NE, or degrees.")
@@ -89,7 +101,7 @@ def calibrate(
     tracks: TracksOption = None,
     image_size: ImageSizeOption = None,
     near: NearOption = None,
-    near_sigma: NearSigmaOption = 50.0,
+    near_sigma: NearSigmaOption = None,
     looks: LooksOption = None,
     road_map: MapOption = None,
     points: PointsOption = None,
@@ -108,8 +120,7 @@ def calibrate(
     """Calibrate a camera from its traffic: focal length, tilt, roll, height and scale.
 
     A minute of traffic does, five are better. The scale is that of vehicles' usual sizes. Look at
-    the picture: the green boxes must stand on the road like the vehicles do. With --map and --near
-    the camera is laid on the map, or the places that fit are named.
+    the picture: green boxes must stand on the road like vehicles. --map finds the camera's place.
 
     Example: [bold]geoorbit calibrate north.mp4 --near 43.07,-89.40 --out calibration.csv[/bold]
     """
@@ -123,7 +134,7 @@ def calibrate(
     from geoorbit_ros.storage.atomic import atomic_output
 
     picture = _checked_picture(picture, out, source, tracks, road_map, points, camera_info, image)
-    origin = parse_datum(near, "option --near")
+    origin = parse_datum(near, "--near")
     where = whereabouts(road_map, origin, near_sigma, looks, with_points=points is not None)
     told_lens = read_camera_info(camera_info) if camera_info else None
     with atomic_output(out) as new_file, atomic_output(picture) as new_picture:
@@ -138,10 +149,11 @@ def calibrate(
             camera = calibrate_from_traffic(frames, size, lens=lens, points=known)
         grid = control_grid(camera, datum, str(out))
         on_map, where_said = _on_map(grid, frames, size, where)
-        placed = known is not None or on_map is not grid
-        write_control_points(new_file, on_map, _comments(camera, placed))
-        write_image(new_picture, draw_traffic_calibration(camera, on_map, view))
-    _tell([*sentences(camera, on_map, placed, known is not None), *where_said], out, picture)
+        placed = on_map is not grid or (known is not None and len(known.pixel) > 1)
+        grid = on_map if placed else _without_north(grid)
+        write_control_points(new_file, grid, _comments(camera, placed))
+        write_image(new_picture, draw_traffic_calibration(camera, grid, view))
+    _tell([*sentences(camera, grid, placed, known is not None), *where_said], out, picture)
 
 
 def _tell(said: list[str], out: Path, picture: Path) -> None:
@@ -241,6 +253,10 @@ def sentences(
     elif not placed:
         found.append("The file's north is where the camera looks: its true heading is not known.")
     return found
+
+
+def _without_north(grid: ControlPoints) -> ControlPoints:
+    return replace(grid, facts=replace(grid.facts, north_known=False))
 
 
 def _comments(camera: TrafficCalibration, placed: bool) -> list[str]:

@@ -607,7 +607,7 @@ def parse_driving_side(text: str | None) -> Side | None:
     raise ParameterError("option --driving-side", repr(text), "left or right")
 
 
-def parse_datum(text: str | None, option: str = "option --datum") -> Datum | None:
+def parse_datum(text: str | None, option: str = "--datum") -> Datum | None:
     """The datum of `43.07,-89.40`.
 
     Args:
@@ -627,10 +627,10 @@ def parse_datum(text: str | None, option: str = "option --datum") -> Datum | Non
     except ValueError:
         latitude = longitude = float("nan")
     if not (abs(latitude) <= 90 and abs(longitude) <= 180):
-        raise ParameterError(option, repr(text), "LATITUDE,LONGITUDE in degrees")
+        raise ParameterError(f"option {option}", repr(text), "LATITUDE,LONGITUDE in degrees")
     if abs(latitude) > GEODETIC_BOUND_DEG:
         expected = "LATITUDE,LONGITUDE in this order: no road leads beyond 80 degrees of latitude"
-        raise ParameterError(option, repr(text), expected)
+        raise ParameterError(f"option {option}", repr(text), expected)
     return Datum(latitude, longitude)
 
 

@@ -13,12 +13,19 @@ if TYPE_CHECKING:
     from geoorbit_ros.calibration.control_points import ControlPoints
     from geoorbit_ros.calibration.datum import Datum
     from geoorbit_ros.core.tables import Frames
-    from geoorbit_ros.mapcheck.placement import Placement
+    from geoorbit_ros.mapcheck.placement import Place, Placement
     from geoorbit_ros.roadnet.network import RoadNetwork
 
+NEAR_SIGMA_M = 50.0
+"""1-sigma of a place that was read off a map without looking for the pole."""
 COMPASS = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
 SHOWN_PLACES = 4
 """So many of the places that fit are named."""
+POLE_SIGMA_M = 2.0
+"""How exactly a pole's place is read off an aerial image: a place given no better can be."""
+FAR_SIGMAS = 2.0
+"""A camera that comes out further from the given place than this, in its 1-sigma, is doubted.
+Chosen: chance puts one of eight there; the search ends at `placement_fit.SEARCH_SIGMAS`."""
 
 FARTHEST_M = 5000.0
 """A map whose nearest lane is farther away is of another place. Chosen: no camera sees so far; less
@@ -65,7 +72,7 @@ def parse_compass(text: str | None) -> float | None:
 def whereabouts(
     road_map: Path | None,
     near: Datum | None,
-    near_sigma_m: float,
+    near_sigma_m: float | None,
     looks: str | None,
     *,
     with_points: bool,
@@ -80,6 +87,9 @@ def whereabouts(
     if road_map is None:
         if looks is not None:
             raise ParameterError("option --looks", looks, "a map, too: --map")
+        if near_sigma_m is not None:
+            found = f"{near_sigma_m:g}"
+            raise ParameterError("option --near-sigma", found, "a map, too: --map")
         return None
     if with_points:
         raise ParameterError("option --map", "--points, too", "one: points say where they are")
@@ -87,9 +97,10 @@ def whereabouts(
         raise ParameterError("option --map", "no --near", "--near LAT,LON: where the camera is")
     from geoorbit_ros.cli.console import status
 
+    sigma_m = NEAR_SIGMA_M if near_sigma_m is None else near_sigma_m
     with status(f"reading {road_map}"):
         network = _network(road_map, near)
-    return Whereabouts(network, near, near_sigma_m, looks_deg)
+    return Whereabouts(network, near, sigma_m, looks_deg)
 
 
 def place_on_map(
@@ -131,9 +142,10 @@ def place_on_map(
         turn_rad=None if where.looks_deg is None else -np.radians(where.looks_deg),
     )
     found = place_lanes(lane_map.lanes, where.network, rough)
-    said = found.sentences()
+    said = [*found.sentences(), *_surer(found, where)]
     if found.ambiguous:
-        return points, [*said, *_named(found, where.near)]
+        written = "the file has none of these places: only lanes, widths and speeds are right in it"
+        return points, _as_sentences([*said, *_named(found, where.near), written])
     best = found.best
     moved = replace(
         points,
@@ -142,11 +154,50 @@ def place_on_map(
         sigma_m=None if points.sigma_m is None else best.scale * points.sigma_m,
         facts=replace(
             points.facts,
+            north_known=True,
             scale_sigma=min(points.facts.scale_sigma, float(np.sqrt(best.covariance[3, 3]))),
         ),
     )
+    return moved, _as_sentences([*said, *_found_at(best, where)])
+
+
+def _found_at(best: Place, where: Whereabouts) -> list[str]:
+    """Where the camera came out, and whether that is where it is said to be."""
+    import numpy as np
+
     looks_deg = (-np.degrees(best.turn_rad)) % 360.0
-    return moved, [*said, f"the camera looks to {looks_deg:.0f}° (clockwise from north)"]
+    here = best.points(np.zeros((1, 2)))
+    latitude, longitude = where.near.to_geodetic(here)[0]
+    said = [
+        f"the camera is at {latitude:.6f},{longitude:.6f}, looking to {looks_deg:.0f}° "
+        "(clockwise from north)"
+    ]
+    away_m = float(np.hypot(*here[0]))
+    if away_m > FAR_SIGMAS * where.near_sigma_m:
+        said.append(
+            f"that is {away_m:.0f} m from --near, which is said to be right to "
+            f"± {where.near_sigma_m:g} m: is it this road, and is --looks right"
+            "? Don't use the file before you know"
+        )
+    return said
+
+
+def _surer(found: Placement, where: Whereabouts) -> list[str]:
+    """What a person can still say that makes the place surer."""
+    ways = []
+    if where.near_sigma_m > POLE_SIGMA_M:
+        ways.append(
+            "the pole's place from an aerial image (--near, with "
+            f"--near-sigma {POLE_SIGMA_M:g} if it is right to {POLE_SIGMA_M:g} m)"
+        )
+    if where.looks_deg is None:
+        ways.append("the direction in which the camera looks (--looks)")
+    ways.append("two points that you know, in place of the map (--points)")
+    return [] if found.sure else ["surer with: " + "; ".join(ways)]
+
+
+def _as_sentences(texts: list[str]) -> list[str]:
+    return [f"{text[0].upper()}{text[1:]}." for text in texts]
 
 
 def _network(road_map: Path, near: Datum) -> RoadNetwork:
@@ -178,7 +229,7 @@ def _named(found: Placement, datum: Datum) -> list[str]:
     places = found.places[:SHOWN_PLACES]
     spots = np.array([place.points(np.zeros((1, 2)))[0] for place in places])
     return [
-        f"{100 * place.share:.0f} %: the camera at {latitude:.6f},{longitude:.6f}, looking to "
+        f"  {100 * place.share:.0f} %: the camera at {latitude:.6f},{longitude:.6f}, looking to "
         f"{(-np.degrees(place.turn_rad)) % 360.0:.0f}°"
         for place, (latitude, longitude) in zip(places, datum.to_geodetic(spots), strict=True)
     ]

@@ -130,15 +130,13 @@ class Placement:
                 f"m; across the road it is ± {self.across_sigma_m:.1f} m"
             )
         if self.ambiguous:
-            away = [float(np.hypot(*(p.shift_m - self.best.shift_m))) for p in self.places]
+            away = [float(np.hypot(*(p.shift_m - self.best.shift_m))) for p in self.places[1:]]
+            far = f"{min(away):.0f} to {max(away):.0f} m" if len(away) > 1 else f"{away[0]:.0f} m"
+            others = "the others are" if len(away) > 1 else "the other is"
             said.append(
                 f"{len(self.places)} places fit; the likeliest has {100 * self.best.share:.0f} %, "
-                f"the others are {min(away[1:]):.0f} to {max(away):.0f} m away"
+                f"{others} {far} away"
             )
-        said.append(
-            "one control point, the pole's place on an aerial image, or the direction in which the "
-            "camera looks makes it surer"
-        )
         return said
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.camera_pose import recover_pose
 from geoorbit_ros.calibration.homography import Homography
+from geoorbit_ros.calibration.point_advice import advise
 from geoorbit_ros.core.errors import CalibrationError
 from geoorbit_ros.core.input_report import InputReport
 from geoorbit_ros.core.lanes import Lane, LaneMap
@@ -204,11 +205,24 @@ def _calibration(content: ReportInput) -> str:
         f"{number(float(np.median(error_m)), 3)} m on the road; the largest is "
         f"{number(float(error_m.max()), 3)} m."
     )
+    sentence += _more_points(content)
     return section(
         "Calibration",
         f"<p>{escape(sentence)}</p><details><summary>Every control point</summary>"
         f"{calibration_table(content.homography)}</details>",
     )
+
+
+def _more_points(content: ReportInput) -> str:
+    """How well clicked points fix the road, and where one more helps most; empty for others."""
+    if content.homography.points.facts.scale_sigma > 0.0:
+        return " They were computed from traffic; nobody measured them."
+    try:
+        advice = advise(content.homography, content.image_size)
+    except CalibrationError:  # no road near the camera is in view
+        return ""
+    more = advice.next_sentence()
+    return f" The road in view is known to ± {advice.sigma_m:.2f} m. {more[0].upper()}{more[1:]}."
 
 
 def _range_m(content: ReportInput) -> tuple[float, ...]:

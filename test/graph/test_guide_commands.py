@@ -42,6 +42,7 @@ NOT_HERE = {
     r"\.venv/bin/fast-discovery-server": "runs until it is ended: test_namespaces",
     r"export |P=": "sets a variable for ros2",
     r"\./dev run (up|status|view) |geoorbit (up|status|view) ": "run until ended: test_fleet",
+    r"\./dev run calibrate rtsp:": "a network camera",
     r"(\./dev run camera add|geoorbit process) rtsp:": "a network camera: test_camera_process",
     r"GEOORBIT_REAL_DATA=|\./dev run evaluate --out out/roads": "a study of hours",
 }
@@ -138,8 +139,8 @@ def prepare(page: str) -> None:
     )
     way = '<way id="9" version="1"><nd ref="1"/><nd ref="2"/><tag k="highway" v="primary"/></way>'
     Path("area.osm").write_text(f'<?xml version="1.0"?><osm version="0.6">{nodes}{way}</osm>')
-    for block in blocks(page, "python"):
-        if file := re.match(r"# (\w+\.py)\n", block):
+    for block in [*blocks(page, "python"), *blocks(page, "csv")]:
+        if file := re.match(r"# (\w+\.(?:py|csv))\n", block):
             Path(file[1]).write_text(block, encoding="utf-8")
 
 

@@ -21,7 +21,7 @@ from geoorbit_ros.core.errors import CalibrationError
 
 SIZE = (1920, 1080)
 LENS = Lens(1500.0, 1490.0, 970.0, 530.0, SIZE, -0.2, 0.05, 1e-3, -2e-3, 0.01)
-FACTS = CameraFacts(SIZE, LENS, 0.03)
+FACTS = CameraFacts(SIZE, LENS, 0.03, north_known=False)
 
 
 def distorted_points() -> ControlPoints:
@@ -76,6 +76,7 @@ def test_points_of_an_image_of_another_shape_are_refused(tmp_path: Path) -> None
         ("# lens: plumb_bob 1500 1500 960 540 -0.2 0 0 7", "p2"),
         ("# image_size: large", "WIDTHxHEIGHT"),
         ("# scale_sigma: 3", "0.03"),
+        ("# north: up", "unknown"),
     ],
 )
 def test_a_fact_that_cannot_be_read_is_refused(tmp_path: Path, line: str, words: str) -> None:

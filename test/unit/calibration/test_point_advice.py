@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from cameras import Camera
 
+from geoorbit_ros.calibration.camera_facts import CameraFacts
 from geoorbit_ros.calibration.control_points import ControlPoints
 from geoorbit_ros.calibration.homography import GROUND_SIGMA_M, PIXEL_SIGMA, fit_homography
 from geoorbit_ros.calibration.plane import Homography
-from geoorbit_ros.calibration.point_advice import advise
+from geoorbit_ros.calibration.point_advice import advise, point_remarks
 from geoorbit_ros.core.errors import CalibrationError
 
 SIZE = (1920, 1080)
@@ -111,3 +112,38 @@ def test_a_place_above_the_horizon_is_no_road() -> None:
     plane = fit_homography(measured(0))
     with pytest.raises(CalibrationError, match="no road near the camera"):
         advise(plane, SIZE, where=np.array([[960.0, -400.0]]))
+
+
+def test_people_are_told_only_where_there_is_something_to_say() -> None:
+    """Points as good as they should be: nothing. One of five is wrong: that, and what helps."""
+    assert point_remarks(fit_homography(measured(1)), SIZE) == []
+    few = measured(0, keep=5)
+    assert point_remarks(fit_homography(few), SIZE) == []
+    pixel = few.pixel.copy()
+    pixel[2] += 40.0
+    wrong = replace(few, pixel=pixel)
+    (remark,) = point_remarks(fit_homography(wrong), SIZE)
+    assert "times what is expected of them; which one is wrong can be told from 6" in remark.text
+    assert "a further point near pixel" in remark.text
+    computed = replace(wrong, facts=CameraFacts(scale_sigma=0.03))
+    assert point_remarks(fit_homography(computed), SIZE) == [], "nobody clicked them"
+
+
+def test_four_points_close_together_are_told_to_leave_the_road_unsure() -> None:
+    points = measured(1)
+    u, v = points.pixel.T
+    near = (v > 600.0) & (u < 1000.0)
+    plane = fit_homography(subset(points, near))
+    advice = advise(plane, SIZE)
+    assert advice.sigma_m > 0.5
+    (remark,) = point_remarks(plane, SIZE)
+    assert f"the road in view is known to ± {advice.sigma_m:.2f} m" in remark.text
+
+
+def test_a_point_that_was_left_out_is_not_told_twice() -> None:
+    points = measured(2)
+    pixel = points.pixel.copy()
+    pixel[4, 0] += 60.0
+    plane = fit_homography(replace(points, pixel=pixel))
+    assert not plane.residual.inlier[4]
+    assert point_remarks(plane, SIZE) == []
