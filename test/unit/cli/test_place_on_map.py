@@ -63,7 +63,9 @@ def placed(
     near = moved(name, east_m, north_m)
     with TemporaryDirectory() as folder:
         network = write_network(place_roads(load_scene(name)), Path(folder), run.datum)
-        where = Whereabouts(load_network(network, near), near, sigma_m, looks_deg if with_looks else None)
+        where = Whereabouts(
+            load_network(network, near), near, sigma_m, looks_deg if with_looks else None
+        )
         found, said = place_on_map(points, run.frames, run.image_size, where)
     return points, found, "\n".join(said)
 
