@@ -19,8 +19,14 @@ import numpy as np
 from geoorbit_ros.calibration.lens import MODEL, Lens
 from geoorbit_ros.core.errors import CalibrationError
 
-_FACT = re.compile(r"#\s*(image_size|lens|scale_sigma|north)\s*[:=]\s*(.*?)\s*", re.IGNORECASE)
-_SIZE = re.compile(r"(\d{2,5})\s*[x×*]\s*(\d{2,5})")
+_FACT = re.compile(
+    r"#\s*(image[_ -]?size|lens|scale[_ -]?sigma|north)"
+    rf"(?:\s*[:=]\s*|\s+(?={MODEL}\b|[\d.]))(.*?)\s*",
+    re.IGNORECASE,
+)
+"""Without the colon only where a number or the model follows: other comments are for people."""
+_SIZE = re.compile(r"(\d{2,5})\s*[x×*]\s*(\d{2,5})(?:\s*(?:px|pixels?))?", re.IGNORECASE)
+_DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(?:e[+-]?\d+)?", re.IGNORECASE)
 UNKNOWN = "unknown"
 """What the line `# north:` may say; a file without it has true north."""
 MAX_SCALE_SIGMA = 0.5
@@ -30,6 +36,8 @@ SAME_ASPECT = 0.005
 854x480 differ by 0.001, 16:9 and 16:10 by 0.1; larger takes a cut image for a smaller one."""
 SIZE_PX = (16, 32768)
 """Least and largest side of an image."""
+
+MIDDLE = "the principal point near the middle of the image, or a line '# image_size:'"
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,9 +90,17 @@ def read_facts(
         image_size: (width, height) that a lens without `image_size` line belongs to.
 
     Raises:
-        CalibrationError: A line of these names that can't be read.
+        CalibrationError: A line of these names that can't be read, or two that differ.
     """
-    said = {m[1].lower(): m[2] for line in comments if (m := _FACT.fullmatch(line))}
+    said: dict[str, str] = {}
+    for line in comments:
+        if (found := _FACT.fullmatch(line)) is None:
+            continue
+        name = re.sub("[ -]|(?<=e)(?=size$|sigma$)", "_", found[1].lower()).replace("__", "_")
+        before = said.setdefault(name, found[2])
+        if before.split() != found[2].split():
+            named = f"'{before[:60]}' and '{found[2][:60]}'"
+            raise CalibrationError(f"{place}, '# {name}:'", named, "one of them")
     size = _size(said["image_size"], place) if "image_size" in said else None
     lens = _lens(said["lens"], place, size or image_size) if "lens" in said else None
     sigma = _scale_sigma(said["scale_sigma"], place) if "scale_sigma" in said else 0.0
@@ -112,13 +128,21 @@ def _size(text: str, place: str) -> tuple[int, int]:
 def _lens(text: str, place: str, size: tuple[int, int] | None) -> Lens:
     expected = f"'{MODEL} fx fy cx cy k1 k2 p1 p2 k3'"
     place = f"{place}, '# lens:'"
-    model, *words = text.replace(",", " ").split() or [""]
+    model, *words = text.split() or [""]
+    if len(words) >= 4 and any(_DECIMAL_COMMA.fullmatch(word) for word in words):
+        words = [word.rstrip(",;").replace(",", ".") for word in words]
+    else:
+        model, *words = re.split(r"[\s,;]+", text.strip())
     try:
         numbers = [float(word) for word in words]
     except ValueError:
         numbers = []
     if model.lower() != MODEL or not 4 <= len(numbers) <= 9 or not np.isfinite(numbers).all():
         raise CalibrationError(place, f"'{text[:80]}'", expected)
+    if size is None and not min(numbers[2:4]) > 0.0:
+        raise CalibrationError(
+            place, f"a lens with cx, cy = {numbers[2]:g}, {numbers[3]:g}", MIDDLE
+        )
     if size is None:  # the principal point is near the middle, and that is all it is asked for
         size = (round(2 * numbers[2]), round(2 * numbers[3]))
     try:
@@ -130,6 +154,7 @@ def _lens(text: str, place: str, size: tuple[int, int] | None) -> Lens:
 
 
 def _scale_sigma(text: str, place: str) -> float:
+    text = re.sub(r"(?<=\d),(?=\d)", ".", text)
     try:
         sigma = float(text.rstrip("% ")) / (100.0 if text.endswith("%") else 1.0)
     except ValueError:

@@ -48,6 +48,9 @@ NAMES: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 """Names of columns by what they mean; case, blanks, brackets and units don't count."""
 EXPECTED = "a CSV file with the columns pixel_x,pixel_y,latitude,longitude (or x_m,y_m)"
+SIGMA_BOUNDS = ((0.01, 0.001), (1e4, 1e3))
+"""Least and largest 1-sigma, pixels and metres. Chosen: nobody clicks to a hundredth of a pixel, or
+surveys a road to a millimetre; smaller lets one point decide alone, larger says as little."""
 _NO = {"0", "0.0", "false", "no", "n"}
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _UNIT = re.compile(r"_(px|pixels?|m|met(er|re)s?|deg|degrees|dd|decimal_degrees)$")
@@ -71,7 +74,7 @@ class PointTable:
         text: The cells as they are written.
         line: (N,) where each row stands.
         report: What was done.
-        comments: Above the header.
+        comments: Above the header and below it.
         sigma: (N, 2) 1-sigma of each point in pixels and in metres; NaN where it isn't said.
     """
 
@@ -130,16 +133,10 @@ def read_point_table(found: CsvBody, place: str) -> PointTable:
         [row[:4] for row in cells],
         np.array(lines, dtype=np.int64),
         InputReport(place, "control points", len(cells)),
-        found.comments,
+        all_comments(found),
         np.array([[_number(cell) for cell in row] for row in sigmas]).reshape(-1, 2),
     )
-    odd = np.array([any(row) for row in sigmas], dtype=np.bool_)
-    odd &= ~((table.sigma > 0.0) | [[not cell for cell in row] for row in sigmas]).all(axis=1)
-    if odd.any():
-        k = int(np.argmax(odd))
-        text = "a sigma that is no positive number; the usual one is taken"
-        table.report.add(Treatment.REPAIRED, int(odd.sum()), text, table.shown(k))
-    table.sigma[~(table.sigma > 0.0)] = np.nan
+    _check_sigmas(table, sigmas)
     if found.repaired:
         table.report.note(Treatment.REPAIRED, found.repaired)
     if len(at) > 4:
@@ -149,6 +146,32 @@ def read_point_table(found: CsvBody, place: str) -> PointTable:
             said_no = ~said_no & np.array([bool(row[4]) for row in cells], dtype=np.bool_)
         table.keep(~said_no, f"switched off in column '{switch}'", Treatment.NOTED)
     return table
+
+
+def _check_sigmas(table: PointTable, cells: list[list[str]]) -> None:
+    """NaN for sigmas that are none, and those that nobody has put at `SIGMA_BOUNDS`; told."""
+    odd = np.array([any(row) for row in cells], dtype=np.bool_)
+    odd &= ~((table.sigma > 0.0) | [[not cell for cell in row] for row in cells]).all(axis=1)
+    if odd.any():
+        k = int(np.argmax(odd))
+        text = "a sigma that is no positive number; the usual one is taken"
+        table.report.add(Treatment.REPAIRED, int(odd.sum()), text, table.shown(k))
+    table.sigma[~(table.sigma > 0.0)] = np.nan
+    bounded = np.clip(table.sigma, *SIGMA_BOUNDS)
+    beyond = ((bounded != table.sigma) & np.isfinite(table.sigma)).any(axis=1)
+    if beyond.any():
+        k = int(np.argmax(beyond))
+        (least_px, least_m), (most_px, most_m) = SIGMA_BOUNDS
+        text = f"a sigma beyond {least_px:g} to {most_px:g} px, {least_m:g} to {most_m:g} m; "
+        text += "the bound is taken"
+        table.report.add(Treatment.REPAIRED, int(beyond.sum()), text, table.shown(k))
+    table.sigma = bounded
+
+
+def all_comments(found: CsvBody) -> tuple[str, ...]:
+    """Comment lines above the header and below it."""
+    below = (line.strip() for line in found.body.splitlines() if line.lstrip().startswith("#"))
+    return (*found.comments, *below)
 
 
 def _columns(found: CsvBody, place: str) -> tuple[list[int], list[int | None], bool]:

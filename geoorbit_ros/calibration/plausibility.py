@@ -81,7 +81,7 @@ def calibration_report(
     if known_size is not None:
         report.remarks += _focal_doubts(homography, known_size)
         report.remarks += point_remarks(homography, known_size)
-    if image_size is None or points.facts.image_size is not None:
+    if image_size is None:
         return report
     size = np.array(image_size, dtype=np.float64)
     beyond = np.maximum(-points.pixel, points.pixel - size) / size

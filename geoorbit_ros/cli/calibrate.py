@@ -18,6 +18,7 @@ from geoorbit_ros.cli.inputs import (
     MinScoreOption,
     ModelOption,
     StrictOption,
+    check_no_input,
     parse_datum,
     parse_names,
     read_options,
@@ -41,7 +42,6 @@ if TYPE_CHECKING:
     from geoorbit_ros.calibration.lens import Lens
     from geoorbit_ros.calibration.traffic.estimate import TrafficCalibration
     from geoorbit_ros.calibration.traffic.parameters import KnownPoints
-    from geoorbit_ros.core.input_report import InputReport
     from geoorbit_ros.core.tables import Frames
     from geoorbit_ros.storage.tracks.cleaning import ReadOptions
 
@@ -124,36 +124,43 @@ def calibrate(
 
     Example: [bold]geoorbit calibrate north.mp4 --near 43.07,-89.40 --out calibration.csv[/bold]
     """
+    from geoorbit_ros.calibration.camera_info import read_camera_info
     from geoorbit_ros.calibration.control_point_writer import write_control_points
     from geoorbit_ros.calibration.traffic.control_grid import control_grid
     from geoorbit_ros.calibration.traffic.estimate import calibrate_from_traffic
-    from geoorbit_ros.cli.console import console, print_remarks, status
+    from geoorbit_ros.cli.console import status
     from geoorbit_ros.report.image_overlay import write_image
     from geoorbit_ros.report.traffic_calibration import draw_traffic_calibration
+    from geoorbit_ros.storage.atomic import atomic_output
 
-    _check_one_input(source, tracks)
-    picture = _picture_path(picture or out.parent / PICTURE)
+    picture = _checked_picture(picture, out, source, tracks, road_map, points, camera_info, image)
     origin = parse_datum(near, "--near")
     where = whereabouts(road_map, origin, near_sigma, looks, with_points=points is not None)
-    if tracks is not None:
-        options = read_options(fps, columns, classes, strict)
-        frames, size, report = _read(tracks, image_size, points, options)
-        print_remarks(report)
-        view = None
-    else:
-        frames, size, view = _look(str(source), fps, duration, model, class_names, min_score)
-    view = view if image is None else _view(image, size)
-    lens, known, datum = _given(points, camera_info, origin, size, strict)
-    with status(f"fitting a camera to {len(frames)} frames"):
-        camera = calibrate_from_traffic(frames, size, lens=lens, points=known)
+    told_lens = read_camera_info(camera_info) if camera_info else None
+    with atomic_output(out) as new_file, atomic_output(picture) as new_picture:
+        if tracks is not None:
+            read = read_options(fps, columns, classes, strict)
+            frames, size, view = _read(tracks, image_size, points, read)
+        else:
+            frames, size, view = _look(str(source), fps, duration, model, class_names, min_score)
+        view = _view(image, size) if image else view
+        lens, known, datum = _given(points, told_lens, str(camera_info), origin, size, strict)
+        with status(f"fitting a camera to {len(frames)} frames"):
+            camera = calibrate_from_traffic(frames, size, lens=lens, points=known)
         grid = control_grid(camera, datum, str(out))
-    on_map, where_said = _on_map(grid, frames, size, where)
-    placed = on_map is not grid or (known is not None and len(known.pixel) > 1)
-    grid = on_map if placed else _without_north(grid)
-    write_control_points(out, grid, _comments(camera, placed))
-    write_image(picture, draw_traffic_calibration(camera, grid, view))
-    said = "\n ".join([*sentences(camera, grid, placed, known is not None), *where_said])
-    console.print(f" {said}\n Wrote {out} and {picture}: look at the picture.", soft_wrap=True)
+        on_map, where_said = _on_map(grid, frames, size, where)
+        placed = on_map is not grid or (known is not None and len(known.pixel) > 1)
+        grid = on_map if placed else _without_north(grid)
+        write_control_points(new_file, grid, _comments(camera, placed))
+        write_image(new_picture, draw_traffic_calibration(camera, grid, view))
+    _tell([*sentences(camera, grid, placed, known is not None), *where_said], out, picture)
+
+
+def _tell(said: list[str], out: Path, picture: Path) -> None:
+    from geoorbit_ros.cli.console import console
+
+    text = "\n ".join([*said, f"Wrote {out} and {picture}: look at the picture."])
+    console.print(f" {text}", soft_wrap=True)
 
 
 def _check_one_input(source: str | None, tracks: Path | None) -> None:
@@ -162,10 +169,24 @@ def _check_one_input(source: str | None, tracks: Path | None) -> None:
         raise ParameterError("SOURCE and option --tracks", found, "exactly one of them")
 
 
-def _picture_path(picture: Path) -> Path:
-    """The same, if a picture can have this name."""
+def _checked_picture(
+    picture: Path | None,
+    out: Path,
+    source: str | None,
+    tracks: Path | None,
+    *others: Path | str | None,
+) -> Path:
+    """Where the picture goes; outputs that can't be written are refused before any work is done."""
+    _check_one_input(source, tracks)
+    picture = picture or out.parent / PICTURE
     if picture.suffix.lower() not in (".png", ".jpg", ".jpeg"):
         raise ParameterError("option --picture", str(picture), "a name that ends in .png or .jpg")
+    if out.absolute() == picture.absolute():
+        raise ParameterError("option --out", f"{out}, the picture", "another path")
+    for option, file in (("option --out", out), ("option --picture", picture)):
+        if file.is_dir():
+            raise ParameterError(option, f"{file}, a folder", "the path of a file")
+        check_no_input(option, file, *(Path(given) for given in (source, tracks, *others) if given))
     return picture
 
 
@@ -196,6 +217,7 @@ def sentences(
     camera: TrafficCalibration, grid: ControlPoints, placed: bool, with_points: bool
 ) -> list[str]:
     """What was found, and what would make it surer."""
+    from geoorbit_ros.calibration.traffic.estimate import ODD_POINT_SIGMAS
     from geoorbit_ros.calibration.traffic.parameters import ROLL, TILT
 
     (focal, focal_s), (height, height_s) = camera.focal_px, camera.height_m
@@ -209,6 +231,11 @@ def sentences(
         f"  height {height:.1f} ± {height_s:.1f} m; distances ± {100 * scale:.1f} %",
         f"Lens: {camera.lens_sentence}.",
     ]
+    if camera.points_off > ODD_POINT_SIGMAS:
+        found.append(
+            f"Doubtful: the points of --points are off by {camera.points_off:.1f} times their "
+            "errors. Are they of this image, in this size?"
+        )
     surer = []
     if len(camera.samples.group) < 60:
         surer.append("more traffic")
@@ -241,9 +268,9 @@ def _comments(camera: TrafficCalibration, placed: bool) -> list[str]:
 
 def _read(
     tracks: Path, image_size: str | None, points: Path | None, options: ReadOptions
-) -> tuple[Frames, tuple[int, int], InputReport]:
-    """Frames of a track file, the image size, and what is to be said about it."""
-    from geoorbit_ros.cli.console import status
+) -> tuple[Frames, tuple[int, int], NDArray[np.uint8] | None]:
+    """Frames of a track file, the image size and no image; what is to be said of it is said."""
+    from geoorbit_ros.cli.console import print_remarks, status
     from geoorbit_ros.cli.inputs import ASSUMED_SIZE
     from geoorbit_ros.storage.tracks.reader import read_tracks
 
@@ -251,7 +278,8 @@ def _read(
     options = with_image_size(image_size, options, stated)
     with status(f"reading {tracks}"):
         frames, report = read_tracks(tracks, options)
-    return frames, report.image_size or ASSUMED_SIZE, report
+    print_remarks(report)
+    return frames, report.image_size or ASSUMED_SIZE, None
 
 
 def _look(
@@ -293,7 +321,8 @@ def _look(
 
 def _given(
     points: Path | None,
-    camera_info: Path | None,
+    lens: Lens | None,
+    lens_place: str,
     near: Datum | None,
     size: tuple[int, int],
     strict: bool,
@@ -301,23 +330,29 @@ def _given(
     """The lens and the points that the user knows, and the frame's origin."""
     import numpy as np
 
-    from geoorbit_ros.calibration.camera_info import read_camera_info
+    from geoorbit_ros.calibration.camera_info import behind_lens, lens_of_images
     from geoorbit_ros.calibration.control_point_file import read_control_points
     from geoorbit_ros.calibration.plane_fit import GROUND_SIGMA_M, PIXEL_SIGMA
     from geoorbit_ros.calibration.traffic.parameters import KnownPoints
+    from geoorbit_ros.cli.console import print_remarks
 
-    lens = None if camera_info is None else read_camera_info(camera_info).scaled(size)
+    lens = None if lens is None else lens_of_images(lens, size, lens_place)
     if points is None:
         return lens, None, near
     read = read_control_points(points, near, image_size=size, strict=strict, few=True)
-    if not len(read):
-        raise ParameterError("option --points", f"{points} without a point", "at least one")
-    lens = lens or read.facts.lens
+    if lens is not None and len(read):
+        read = behind_lens(read, lens, lens_place)
+    print_remarks(read.report)
+    lens = read.facts.lens or lens
     pixel = read.pixel if lens is None else lens.undistort(read.pixel)
+    seen = np.isfinite(pixel).all(axis=1)
+    if not seen.any():
+        beyond = f" that the lens can show, of {len(read)}" if len(read) else ""
+        raise ParameterError("option --points", f"{points} without a point{beyond}", "at least one")
 
     def sigma(given: NDArray[np.float64] | None, default: float) -> NDArray[np.float64]:
         values = np.full(len(read), default) if given is None else given
-        return np.where(np.isfinite(values), values, default)
+        return np.where(np.isfinite(values), values, default)[seen]
 
     sigma_px, sigma_m = sigma(read.sigma_px, PIXEL_SIGMA), sigma(read.sigma_m, GROUND_SIGMA_M)
-    return lens, KnownPoints(pixel, read.local_m, sigma_px, sigma_m), read.datum
+    return lens, KnownPoints(pixel[seen], read.local_m[seen], sigma_px, sigma_m), read.datum

@@ -451,20 +451,30 @@ def _source(tracks: Path | None, bag: Path | None, calibration: Path, out: Path)
         raise ParameterError("options --tracks and --bag", found, "exactly one of them")
     source = tracks or bag
     assert source is not None
-    for file in (source, calibration):
-        if out.exists() and file.exists() and out.samefile(file):
-            raise ParameterError("option --out", f"{out}, an input", "another path")
+    check_no_input("option --out", out, source, calibration)
     return source
+
+
+def check_no_input(option: str, out: Path, *inputs: Path | None) -> None:
+    """Refuse an output that would replace an input.
+
+    Raises:
+        ParameterError: It is one of them.
+    """
+    for file in inputs:
+        if file is not None and out.exists() and file.exists() and out.samefile(file):
+            raise ParameterError(option, f"{out}, an input", "another path")
 
 
 def stated_image_size(calibration: Path) -> tuple[int, int] | None:
     """The image size that a control point file says; None where it says none, or isn't there."""
     from geoorbit_ros.calibration.camera_facts import read_facts
+    from geoorbit_ros.calibration.control_point_table import all_comments
     from geoorbit_ros.core.errors import InputFileError
     from geoorbit_ros.storage.tracks.csv_text import split_header
 
     try:
-        comments = split_header(calibration, "control points").comments
+        comments = all_comments(split_header(calibration, "control points"))
     except InputFileError:
         return None  # its reader says what is wrong with it
     return read_facts(comments, str(calibration)).image_size
@@ -598,11 +608,16 @@ def parse_driving_side(text: str | None) -> Side | None:
 
 
 def parse_datum(text: str | None, option: str = "--datum") -> Datum | None:
-    """The datum of `43.07,-89.40`; `option` is its name, for the error.
+    """The datum of `43.07,-89.40`.
+
+    Args:
+        text: What the user wrote; None: nothing.
+        option: Where, for errors.
 
     Raises:
         ParameterError: Not a latitude and a longitude in degrees.
     """
+    from geoorbit_ros.calibration.control_point_file import GEODETIC_BOUND_DEG
     from geoorbit_ros.calibration.datum import Datum
 
     if text is None:
@@ -613,6 +628,9 @@ def parse_datum(text: str | None, option: str = "--datum") -> Datum | None:
         latitude = longitude = float("nan")
     if not (abs(latitude) <= 90 and abs(longitude) <= 180):
         raise ParameterError(f"option {option}", repr(text), "LATITUDE,LONGITUDE in degrees")
+    if abs(latitude) > GEODETIC_BOUND_DEG:
+        expected = "LATITUDE,LONGITUDE in this order: no road leads beyond 80 degrees of latitude"
+        raise ParameterError(f"option {option}", repr(text), expected)
     return Datum(latitude, longitude)
 
 

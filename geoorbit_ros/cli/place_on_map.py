@@ -7,7 +7,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
-from geoorbit_ros.core.errors import ParameterError
+from geoorbit_ros.core.errors import ParameterError, RoadNetworkError
 
 if TYPE_CHECKING:
     from geoorbit_ros.calibration.control_points import ControlPoints
@@ -27,19 +27,23 @@ FAR_SIGMAS = 2.0
 """A camera that comes out further from the given place than this, in its 1-sigma, is doubted.
 Chosen: chance puts one of eight there; the search ends at `placement_fit.SEARCH_SIGMAS`."""
 
+FARTHEST_M = 5000.0
+"""A map whose nearest lane is farther away is of another place. Chosen: no camera sees so far; less
+refuses a place that is known to a kilometre."""
+
 
 @dataclass(frozen=True, slots=True)
 class Whereabouts:
     """What a person says about where a camera is.
 
     Attributes:
-        road_map: OpenStreetMap extract or SUMO network.
+        network: The map, with its origin at `near`.
         near: Where the camera stands, roughly.
         near_sigma_m: 1-sigma of that.
         looks_deg: Where it looks, clockwise from north, within some 30 degrees; None: not said.
     """
 
-    road_map: Path
+    network: RoadNetwork
     near: Datum
     near_sigma_m: float
     looks_deg: float | None
@@ -77,6 +81,7 @@ def whereabouts(
 
     Raises:
         ParameterError: Options that need others, or contradict them.
+        GeoOrbitError: A map that can't be read, or that is not near.
     """
     looks_deg = parse_compass(looks)
     if road_map is None:
@@ -90,8 +95,12 @@ def whereabouts(
         raise ParameterError("option --map", "--points, too", "one: points say where they are")
     if near is None:
         raise ParameterError("option --map", "no --near", "--near LAT,LON: where the camera is")
+    from geoorbit_ros.cli.console import status
+
     sigma_m = NEAR_SIGMA_M if near_sigma_m is None else near_sigma_m
-    return Whereabouts(road_map, near, sigma_m, looks_deg)
+    with status(f"reading {road_map}"):
+        network = _network(road_map, near)
+    return Whereabouts(network, near, sigma_m, looks_deg)
 
 
 def place_on_map(
@@ -122,7 +131,6 @@ def place_on_map(
     from geoorbit_ros.mapcheck.placement import place_lanes
     from geoorbit_ros.mapcheck.placement_fit import RoughPlace
 
-    network = _network(where)
     projector = BoxProjector(fit_homography(points), image_size)
     mapper = LaneMapper(make_estimator("curvilinear"))
     lane_map = map_blocks(project_blocks(frames, projector), mapper)
@@ -133,7 +141,7 @@ def place_on_map(
         scale_sigma=max(points.facts.scale_sigma, 0.01),
         turn_rad=None if where.looks_deg is None else -np.radians(where.looks_deg),
     )
-    found = place_lanes(lane_map.lanes, network, rough)
+    found = place_lanes(lane_map.lanes, where.network, rough)
     said = [*found.sentences(), *_surer(found, where)]
     if found.ambiguous:
         written = "the file has none of these places: only lanes, widths and speeds are right in it"
@@ -192,15 +200,26 @@ def _as_sentences(texts: list[str]) -> list[str]:
     return [f"{text[0].upper()}{text[1:]}." for text in texts]
 
 
-def _network(where: Whereabouts) -> RoadNetwork:
+def _network(road_map: Path, near: Datum) -> RoadNetwork:
+    import numpy as np
+
     from geoorbit_ros.roadnet.map_build import build_from_osm
     from geoorbit_ros.roadnet.network import load_network
     from geoorbit_ros.roadnet.network_file import is_network
 
-    if is_network(where.road_map):
-        return load_network(where.road_map, where.near)
-    with TemporaryDirectory() as folder:
-        return build_from_osm(where.road_map, Path(folder), where.near).network
+    if is_network(road_map):
+        network = load_network(road_map, near)
+    else:
+        with TemporaryDirectory() as folder:
+            network = build_from_osm(road_map, Path(folder), near).network
+    away_m = float(np.hypot(*network.point_m.T).min(initial=np.inf))
+    if away_m > FARTHEST_M:
+        raise RoadNetworkError(
+            str(road_map),
+            f"no lane near the given place, the nearest is {away_m / 1000:.0f} km away",
+            "a map of the place that --near LATITUDE,LONGITUDE names",
+        )
+    return replace(network, path=road_map)
 
 
 def _named(found: Placement, datum: Datum) -> list[str]:

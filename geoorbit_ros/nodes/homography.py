@@ -15,7 +15,12 @@ from sensor_msgs.msg import CameraInfo, NavSatFix, PointCloud2
 from std_msgs.msg import Float64MultiArray
 
 from geoorbit_ros.calibration.box_projector import BoxProjector
-from geoorbit_ros.calibration.camera_info import behind_lens, lens_of, read_calibration
+from geoorbit_ros.calibration.camera_info import (
+    behind_lens,
+    lens_of,
+    read_calibration,
+    whole_images,
+)
 from geoorbit_ros.calibration.control_points import ControlPoints
 from geoorbit_ros.calibration.datum import Datum, given_datum
 from geoorbit_ros.calibration.homography import Homography, fit_homography
@@ -135,6 +140,8 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
             if not (info.width and info.height and info.k[0]):  # a camera that isn't calibrated
                 return
             size = (info.width, info.height)
+            part = info.roi.x_offset, info.roi.y_offset, info.roi.width, info.roi.height
+            whole_images(size, part, place)
             lens = lens_of(size, info.k.tolist(), info.distortion_model, info.d.tolist(), place)
             points, before = self._homography.points, len(self._homography.points.report.remarks)
             behind = behind_lens(points, lens, place)

@@ -255,9 +255,13 @@ def read_text(file: Path, kind: str, report: InputReport | None = None) -> YamlT
     return YamlText(str(file), kind, text, kept)
 
 
+_END = re.compile(r"\n---\s*\Z")
+"""The beginning of one more document, with nothing in it: so `ros2 topic echo` ends a message."""
+
+
 def _load(text: str) -> object:
     try:
-        return yaml.load(text, Loader=_Loader)
+        return yaml.load(_END.sub("\n", text), Loader=_Loader)
     except RecursionError as error:
         raise yaml.MarkedYAMLError(problem="lists in lists, too deep to read") from error
 

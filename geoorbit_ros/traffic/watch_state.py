@@ -60,7 +60,10 @@ def unpack_watch(data: bytes) -> EventWatch | None:
         return None
     try:
         found = _OwnTypes(io.BytesIO(zlib.decompress(data[_CRC_BYTES:]))).load()
-    except (zlib.error, pickle.UnpicklingError, EOFError, ValueError, TypeError, AttributeError):
+    except (
+        zlib.error, pickle.UnpicklingError, EOFError, ValueError, TypeError, AttributeError,
+        LookupError, ImportError, OverflowError, MemoryError,
+    ):  # fmt: skip
         return None
     return found if isinstance(found, EventWatch) else None
 

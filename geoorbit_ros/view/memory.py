@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import re
 import zipfile
+import zlib
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,6 +17,9 @@ from geoorbit_ros.view.picture import picture_of, reduction
 from geoorbit_ros.view.place import Place
 from geoorbit_ros.view.reference import Reference
 
+_NAMES = re.compile(r"\s+(?=\w+=)")
+"""Between two of `NAME=FILE`: the names of folders may have blanks."""
+
 
 def named_files(text: str, place: str) -> dict[str, Path]:
     """Files by the name of their view, of `left=left.png right=right.png`, in that order.
@@ -25,7 +30,7 @@ def named_files(text: str, place: str) -> dict[str, Path]:
         ParameterError: Text that is none of that, or a name twice.
     """
     files: dict[str, Path] = {}
-    for word in text.split():
+    for word in _NAMES.split(text.strip()) if text.strip() else ():
         name, equals, file = word.partition("=")
         if not (name and equals and file) or name in files:
             raise ParameterError(place, f"'{word}'", "NAME=FILE, each name once")
@@ -115,18 +120,28 @@ def load_places(file: Path, mark: str) -> tuple[list[Place], tuple[int, int]]:
         with np.load(file, allow_pickle=False) as content:
             version, saved_mark, size = content["about"].tolist()
             views, motions = content["views"].tolist(), content["motions"]
-            pictures = list(content["pictures"])
+            pictures = content["pictures"]
         width, height = (int(side) for side in size.split("x"))
-    except (OSError, EOFError, ValueError, LookupError, zipfile.BadZipFile) as error:
+        step = reduction(width)
+        wanted = np.array((sum(count for _, count in views), height // step, width // step))
+        more = np.array(pictures.shape) - wanted  # decoders may round up
+        if more[0] or not np.isin(more, (0, 1)).all() or pictures.dtype != np.uint8:
+            raise ValueError(f"pictures of {pictures.shape}, expected {tuple(wanted.tolist())}")
+        if motions.shape != (len(views), 3, 3) or not np.isfinite(motions).all():
+            raise ValueError(f"motions of {motions.shape}")
+    except (
+        OSError, EOFError, ValueError, TypeError, AttributeError, LookupError,
+        NotImplementedError, MemoryError, zlib.error, zipfile.BadZipFile,
+    ) as error:  # fmt: skip
         reason = f"{type(error).__name__}: {error}"
         raise InputFileError(str(file), reason, "saved views") from None
     if version != f"format {FORMAT_VERSION}":
         raise InputFileError(str(file), version, f"format {FORMAT_VERSION}")
     if saved_mark != mark:
         raise InputFileError(str(file), "views of another calibration", "the calibration as it is")
-    places = []
+    places, left = [], list(pictures)
     for (number, count), motion in zip(views, motions, strict=True):
-        references = [Reference(np.asarray(p, np.uint8)) for p in pictures[:count]]
-        del pictures[:count]
+        references = [Reference(p) for p in left[:count]]
+        del left[:count]
         places.append(Place(number, references, motion, settled=True))
     return places, (width, height)

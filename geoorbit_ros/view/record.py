@@ -80,7 +80,7 @@ class ViewRecord:
 
     def _known(self) -> Iterator[ViewLook]:
         """The looks; the view is not taken for granted where it was lost for longer than a look."""
-        following = [*self._looks[1:], None]
+        following = [*self._looks[1:], None][: len(self._looks)]
         for look, after in zip(self._looks, following, strict=True):
             lost = not look.measured and after is not None and not after.usable
             yield replace(look, sigma_px=math.inf, view=NO_VIEW) if lost else look

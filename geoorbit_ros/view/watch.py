@@ -39,6 +39,11 @@ MOST_VIEWS = 16
 """Views that are remembered. Chosen: more than a camera has presets; of those found by themselves
 the oldest goes."""
 
+MOST_SIZES = 3
+"""Of so many sizes of images the views are remembered: a stray image of another size, or a camera
+that is set to another one for a while, does not make what it shows afterwards the calibrated view.
+"""
+
 
 class ViewWatch:
     """Tells of each look what the image shows and how it lies on its reference view.
@@ -68,6 +73,7 @@ class ViewWatch:
         self._movement = Movement()
         self._turn = 0
         self._size = size if places else None
+        self._of_size: dict[tuple[int, int], list[Place]] = {}
         self._restart()
 
     @property
@@ -109,9 +115,14 @@ class ViewWatch:
         """Look at the picture of an image of a size, where a decoder has reduced it already."""
         if self._size != size:
             if self._size is not None:
-                self.places, self._current, self._candidate = [], None, None
+                self._of_size[self._size] = self.places
+                self.places = self._of_size.pop(size, [])
+                self._current, self._candidate = self._main, None
+                if len(self._of_size) >= MOST_SIZES:
+                    del self._of_size[next(iter(self._of_size))]
             self._size = size
             self._movement = Movement()
+            self._restart()
         if self._looked_ns is not None and stamp_ns <= self._looked_ns:
             self._restart()
         self._looked_ns, self._turn = stamp_ns, (self._turn + 1) % len(PERIODS_S)

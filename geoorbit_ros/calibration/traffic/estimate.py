@@ -17,12 +17,14 @@ from geoorbit_ros.calibration.traffic.parameters import (
     HEIGHT,
     HIGHEST,
     LOWEST,
+    MANY,
     ROLL,
     ROOF,
     ROOF_MEAN,
     STEP,
     TILT,
     KnownPoints,
+    prior_residuals,
     projection_matrix,
 )
 from geoorbit_ros.calibration.traffic.samples import TrafficSamples, sample_traffic, whole
@@ -48,6 +50,21 @@ FIRST_STEPS, STEPS, ROUNDS = 8, 6, 4
 """Evaluations of the slope in the search, and after each time that neighbours are chosen."""
 MAX_FOCAL_SIGMA, MAX_SCALE_SIGMA = 0.4, 0.25
 """Cameras less certain than this are refused. Chosen: lanes would be a quarter off."""
+MAX_MISFIT = 2.0
+"""Boxes that are off by more, over their usual errors, in the middle, are not those of vehicles
+before a camera that stands still. Real cameras have 0.4 to 0.9, one that turns 2.8, boxes anywhere
+6. Chosen: larger believes them, smaller refuses a bad detector."""
+MAX_UNUSUAL = 5.0
+"""So many sigma may a camera and its vehicles be from what is known of all beforehand. Real and
+made cameras are at 0.6 to 3.9, boxes of one size everywhere at 5.1. Chosen: smaller refuses unusual
+fleets, larger believes boxes that are no vehicles'."""
+AT_BOUND = 1e-3
+"""A parameter that ends this near to a bound, as a share of its range, was stopped by it: the best
+camera lies beyond."""
+ODD_POINT_SIGMAS, MAX_POINT_SIGMAS = 1.5, 3.0
+"""Known points that are off by more than the first, in the mean, are told; beyond the second they
+contradict the traffic or each other. Chosen: a place read from an aerial image may be off by twice
+its usual error; larger believes points of another camera."""
 MIN_REACH = 0.08
 """The traffic must fill this share of the image's height or width."""
 PLACE_NAME = "traffic"
@@ -101,6 +118,13 @@ class TrafficCalibration:
         """Height above the road and its 1-sigma error."""
         height = float(np.exp(self.x[HEIGHT]))
         return height, height * self.sigma(HEIGHT)
+
+    @property
+    def points_off(self) -> float:
+        """How far known points are off in the mean, in sigma, beside what they decide; 0: none."""
+        off = self.model.known_points(self.x)
+        spare = max(len(off) - (MANY - FEW), 1)
+        return float(np.sqrt((off**2).sum() / spare))
 
     def degrees(self, parameter: int) -> tuple[float, float]:
         """An angle and its 1-sigma error."""
@@ -167,6 +191,7 @@ def calibrate_from_traffic(
         x = solution.x
     covariance = np.linalg.pinv(solution.jac.T @ solution.jac, hermitian=True)
     result = TrafficCalibration(x, covariance, model, image_size, lens, sentence, samples)
+    _check_fit(result)
     _check_result(result)
     if lens is not None and not lens.focal_known:
         lens = with_focal(lens, result.focal_px[0])
@@ -205,6 +230,40 @@ def _check_samples(samples: TrafficSamples, image_size: tuple[int, int]) -> None
             PLACE_NAME,
             f"vehicles in {100 * reach.max():.0f} % of the image only",
             f"traffic over at least {100 * MIN_REACH:.0f} % of its width or height",
+        )
+
+
+def _check_fit(result: TrafficCalibration) -> None:
+    """Refuse a camera that does not explain what it was fitted to."""
+    x, model = result.x, result.model
+    if not result.points_off <= MAX_POINT_SIGMAS:
+        raise CalibrationError(
+            PLACE_NAME,
+            f"known points that are off by {result.points_off:.0f} times their errors",
+            "points of this camera, in pixels of this image size, and positions in metres that "
+            "belong to them",
+        )
+    if not model.misfit <= MAX_MISFIT:
+        raise CalibrationError(
+            PLACE_NAME,
+            f"boxes that are off by {model.misfit:.1f} times their usual errors for every camera",
+            "boxes of vehicles on one flat road, from a camera that stands still and does not zoom",
+        )
+    for name, k in (("focal length", FOCAL), ("tilt", TILT), ("roll", ROLL), ("height", HEIGHT)):
+        near = min(x[k] - LOWEST[k], HIGHEST[k] - x[k])
+        if near < AT_BOUND * (HIGHEST[k] - LOWEST[k]):
+            raise CalibrationError(
+                PLACE_NAME,
+                f"boxes that are best explained by a camera whose {name} lies beyond its bounds",
+                "a camera 2.5 to 90 m above a flat road, held nearly level, that looks down by 1 "
+                "to 80 degrees and sees 6 to 127 degrees of width",
+            )
+    unusual = float(np.abs(prior_residuals(x, result.image_size[0], None)).max())
+    if unusual > MAX_UNUSUAL:
+        raise CalibrationError(
+            PLACE_NAME,
+            f"boxes that only vehicles or a camera {unusual:.1f} sigma from all others explain",
+            "boxes that grow with nearness, and classes that are the vehicles' (--classes)",
         )
 
 

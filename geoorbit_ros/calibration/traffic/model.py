@@ -87,6 +87,10 @@ class Explained:
     information: Array
 
 
+LEAST_DEPTH_M, UNSEEN = 1.0, 10.0
+"""A known point nearer to the camera's plane than this, or behind it, is off by so many sigma."""
+
+
 class TrafficModel:
     """Residuals of a camera, for least squares.
 
@@ -98,6 +102,7 @@ class TrafficModel:
 
     Attributes:
         noise: What the sides' errors are multiplied with.
+        misfit: How far boxes are off the camera that was settled last, over their usual errors.
         robust: Cauchy's loss in place of the milder one.
     """
 
@@ -109,7 +114,7 @@ class TrafficModel:
         focal_px: float | None = None,
     ) -> None:
         self.samples, self.image_size = samples, image_size
-        self._points, self._focal_px = points, focal_px
+        self.points, self._focal_px = points, focal_px
         low, high = samples.edges[:2], samples.edges[2:]
         self.centre, self.side = (low + high) / 2, high - low
         self.vehicle, self.group = samples.vehicle, samples.group
@@ -133,12 +138,12 @@ class TrafficModel:
         )
         self._root = np.linalg.cholesky(PRECISION).transpose(0, 2, 1)[self.group]
         self._weight = np.sqrt(min(1.0, INDEPENDENT_VEHICLES / max(len(self.group), 1)))
-        self.noise, self.robust = 1.0, False
+        self.noise, self.misfit, self.robust = 1.0, 0.0, False
 
     @property
     def parameters(self) -> int:
         """How many a vector has."""
-        return FEW if self._points is None else MANY
+        return FEW if self.points is None else MANY
 
     def usual_size(self, x: Array) -> Array:
         """(3, K) mean size of each vehicle's group, in this fleet."""
@@ -246,7 +251,8 @@ class TrafficModel:
         )
         self._size = found.size_m / self.usual_size(x)
         middle = float(np.median(np.abs(found.residual[:, good]))) / 0.6745
-        self.noise = float(np.clip(1.1 * self.noise * middle, 0.4, 2.0))
+        self.misfit = self.noise * middle
+        self.noise = float(np.clip(1.1 * self.misfit, 0.4, 2.0))
 
     def _pixel_turn(self, x: Array, found: Explained) -> Array:
         """(N,) how much a way turns in the image when it turns on the road."""
@@ -280,7 +286,7 @@ class TrafficModel:
             self._weight * np.sqrt(np.maximum(OFFSET + spread, 0.0)),
             self._parallel(x, found),
             prior_residuals(x, self.image_size[0], self._focal_px),
-            self._known_points(x),
+            self.known_points(x),
         ]
         whole = np.concatenate(parts)
         return np.asarray(np.nan_to_num(whole, nan=4.0, posinf=10.0, neginf=-10.0))
@@ -299,20 +305,22 @@ class TrafficModel:
         robust = PARALLEL_CAUCHY * np.sign(turn) * np.sqrt(np.log1p(turn**2))
         return np.asarray(robust / np.sqrt(max(len(turn) / (2.0 * len(self.group)), 1.0)))
 
-    def _known_points(self, x: Array) -> Array:
-        """(2M,) errors of the user's points in the image."""
-        if self._points is None:
+    def known_points(self, x: Array) -> Array:
+        """(2M,) errors of the user's points in the image, in sigma."""
+        if self.points is None:
             return np.empty(0)
-        points, matrix = self._points, projection_matrix(x, self.image_size)
+        points, matrix = self.points, projection_matrix(x, self.image_size)
         cos, sin = np.cos(x[YAW]), np.sin(x[YAW])
         turn = np.array([[cos, sin], [-sin, cos]])
         xy = turn @ (points.local_m - x[PLACE]).T
         uvw = matrix[:, :2] @ xy + matrix[:, 3:]
-        depth = np.maximum(uvw[2], 0.1)
+        depth = np.maximum(uvw[2], LEAST_DEPTH_M)
         uv = uvw[:2] / depth
         slope = (matrix[:2, :2, None] - uv[:, None] * matrix[2, :2, None]) / depth
         ground = points.sigma_m * np.sqrt((slope**2).sum(axis=(0, 1)) / 2.0)
-        return np.asarray(((uv - points.pixel.T) / np.hypot(points.sigma_px, ground)).ravel())
+        off = (uv - points.pixel.T) / np.hypot(points.sigma_px, ground)
+        # Behind the camera every error on the ground would excuse any pixel.
+        return np.asarray(np.where(uvw[2] > LEAST_DEPTH_M, off, UNSEEN).ravel())
 
 
 def _pixels_per_metre(matrix: Array, xy: Array) -> Array:

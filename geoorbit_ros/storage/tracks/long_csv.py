@@ -8,6 +8,7 @@ other.
 from __future__ import annotations
 
 import io
+import mmap
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -98,6 +99,7 @@ def _frames(path: Path, options: ReadOptions, size: tuple[int, int] | None) -> I
     Raises:
         _OddError, ArrowInvalid: A row is not as it should be.
     """
+    _check_hexadecimal(path)
     types, unsure = _types(path)
     whole = dict.fromkeys(unsure, 0)
     pieces = pacsv.open_csv(
@@ -165,6 +167,13 @@ def _types(path: Path) -> tuple[dict[str, pa.DataType], list[str]]:
     if not set(unsure) <= set(_NUMBERS):
         raise _OddError
     return types, unsure
+
+
+def _check_hexadecimal(path: Path) -> None:
+    """Arrow reads `0x10` as 16 in columns of whole numbers; for `csv_text` it is no number."""
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        if content.find(b"0x") >= 0 or content.find(b"0X") >= 0:
+            raise _OddError
 
 
 def _boxes(

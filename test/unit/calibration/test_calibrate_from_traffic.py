@@ -183,3 +183,53 @@ def test_the_matrix_looks_down_the_road() -> None:
     assert (uvw[:, 2] > 0.0).all()
     low, high = uvw[0, 1] / uvw[0, 2], uvw[1, 1] / uvw[1, 2]
     assert high < low, "what is higher above the road is higher in the image"
+
+
+def changed(**columns: NDArray[np.float64]) -> Frames:
+    rows = traffic().rows.copy()
+    for name, values in columns.items():
+        rows[name] = values
+    return replace(traffic(), rows=rows)
+
+
+def test_boxes_that_no_camera_at_rest_shows_are_refused() -> None:
+    rows, time_s = traffic().rows, traffic().row_stamp_ns() / 1e9
+    turning = changed(
+        x=rows["x"] + 300.0 * np.sin(time_s / 3.0), y=rows["y"] + 60.0 * np.cos(time_s / 2.0)
+    )
+    with pytest.raises(CalibrationError, match="stands still"):
+        calibrate_from_traffic(turning, SIZE, find_lens=False)
+    fifty = np.full(len(rows), 50.0)
+    with pytest.raises(
+        CalibrationError, match=r"from all others|beyond its bounds|times their usual"
+    ):
+        calibrate_from_traffic(changed(width=fifty, height=fifty), SIZE, find_lens=False)
+
+
+def test_a_camera_that_looks_straight_down_is_refused_and_not_put_at_a_bound() -> None:
+    random, found = np.random.default_rng(2), []
+    lane, enters = random.integers(4, size=20), random.uniform(0.0, 35.0, 20)
+    for k in range(400):
+        y = 200.0 * (k / 10.0 - enters)
+        here = np.flatnonzero((y > 50.0) & (y < 670.0))
+        rows = np.zeros(len(here), PIXEL_TRACK_DTYPE)
+        rows["track_id"], rows["class_id"], rows["score"] = here, 2, 0.9
+        rows["x"], rows["y"], rows["width"], rows["height"] = (
+            400.0 + 120.0 * lane[here], y[here], 40.0, 90.0,
+        )  # fmt: skip
+        found.append((1 + k * 10**8, rows))
+    with pytest.raises(CalibrationError, match=r"bounds|known to"):
+        calibrate_from_traffic(join_frames(found), SIZE, find_lens=False)
+
+
+def test_known_points_that_contradict_the_traffic_are_refused() -> None:
+    matrix = projection_matrix(true_parameters(), SIZE)
+    local = np.array([[0.0, 20.0], [5.0, 40.0]])
+    uvw = matrix[:, [0, 1, 3]] @ np.vstack((local.T, np.ones(2)))
+    sigma = np.full(2, 1.0), np.full(2, 0.1)
+    true = KnownPoints((uvw[:2] / uvw[2]).T, local, *sigma)
+    found = calibrate_from_traffic(traffic(), SIZE, points=true, find_lens=False)
+    assert found.points_off < 1.5
+    away = replace(true, local_m=local + np.array([[0.0, 0.0], [200.0, 0.0]]))
+    with pytest.raises(CalibrationError, match=r"known points|times their usual errors|bounds"):
+        calibrate_from_traffic(traffic(), SIZE, points=away, find_lens=False)

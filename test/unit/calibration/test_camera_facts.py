@@ -16,6 +16,7 @@ from geoorbit_ros.calibration.control_points import ControlPoints
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.calibration.lens import Lens
+from geoorbit_ros.calibration.plausibility import calibration_report
 from geoorbit_ros.core.errors import CalibrationError
 
 SIZE = (1920, 1080)
@@ -111,3 +112,85 @@ def test_a_point_counts_by_its_own_sigma() -> None:
         for plane in (plain, weighed)
     ]
     assert off[1] < 0.01 * off[0]
+
+
+def written(folder: Path, above: str, below: str = "") -> Path:
+    file = folder / "calibration.csv"
+    file.write_text(f"{above}{control_points_text(Camera().control_points())}{below}")
+    return file
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        ("# lens: plumb_bob 1500 1500 960 540", "# lens: plumb_bob 900 900 960 540"),
+        ("# image_size: 1920x1080", "# image_size: 1280x720"),
+        ("# scale_sigma: 0.03", "# Scale sigma = 0.3"),
+    ],
+)
+def test_two_lines_that_contradict_each_other_are_refused(
+    tmp_path: Path, first: str, second: str
+) -> None:
+    assert read_control_points(written(tmp_path, f"{first}\n{first}\n"), image_size=SIZE)
+    with pytest.raises(CalibrationError, match="one of them"):
+        read_control_points(written(tmp_path, f"{first}\n{second}\n"), image_size=SIZE)
+
+
+@pytest.mark.parametrize(
+    ("above", "below"),
+    [
+        ("# Image size = 1920X1080 px\n# lens plumb_bob 1500 1490 970 530 -0.2\n", ""),
+        ("# image_size: 1920x1080\n# lens: plumb_bob 1500,0 1490,0 970,0 530,0 -0,2\n", ""),
+        ("", "# image_size: 1920x1080\n# lens: plumb_bob 1500, 1490, 970, 530, -0.2\n"),
+    ],
+)
+def test_facts_are_read_as_people_write_them(tmp_path: Path, above: str, below: str) -> None:
+    found = read_control_points(written(tmp_path, above, below))
+    assert found.facts == CameraFacts(SIZE, Lens(1500.0, 1490.0, 970.0, 530.0, SIZE, -0.2))
+
+
+def test_comments_for_people_are_no_facts(tmp_path: Path) -> None:
+    lines = "# lens was changed in May\n# image size of the old camera: 640x480\n"
+    assert read_control_points(written(tmp_path, lines)).facts == CameraFacts()
+
+
+def test_a_lens_of_another_image_size_or_with_a_fold_is_told(tmp_path: Path) -> None:
+    odd = written(tmp_path, "# lens: plumb_bob 1500 1500 480 270\n")
+    assert "far from the middle" in next(
+        read_control_points(odd, image_size=SIZE).report.sentences()
+    )
+    folded = written(tmp_path, "# image_size: 1920x1080\n# lens: plumb_bob 1500 1500 960 540 -1\n")
+    assert "ends within the image" in next(read_control_points(folded).report.sentences())
+    nowhere = written(tmp_path, "# lens: plumb_bob 1500 1500 0 0\n")
+    with pytest.raises(CalibrationError, match="image_size"):
+        read_control_points(nowhere)
+
+
+def test_points_beyond_the_image_that_their_file_names_are_doubted(tmp_path: Path) -> None:
+    file = written(tmp_path, "# image_size: 640x360\n")
+    points = read_control_points(file, image_size=SIZE)
+    report = calibration_report(fit_homography(points), SIZE)
+    assert report.doubtful
+    assert any("are they of this image" in text for text in report.sentences())
+
+
+def test_a_sigma_that_nobody_has_does_not_decide_alone(tmp_path: Path) -> None:
+    points = Camera().control_points()
+    sigma = np.full(len(points), 1.0)
+    sigma[:3] = 1e-12, 1e-300, 1e200
+    file = tmp_path / "calibration.csv"
+    file.write_text(control_points_text(replace(points, sigma_px=sigma, sigma_m=sigma)))
+    found = read_control_points(file)
+    assert found.sigma_px is not None
+    assert found.sigma_px[:3].tolist() == [0.01, 0.01, 1e4]
+    assert "3 of" in next(found.report.sentences())
+    near = np.abs(fit_homography(found).to_ground(points.pixel) - points.local_m)
+    assert near.max() < 0.01
+
+
+def test_a_single_point_in_metres_is_not_taken_for_degrees(tmp_path: Path) -> None:
+    file = tmp_path / "points.csv"
+    file.write_text("pixel_x,pixel_y,x_m,y_m\n640,500,0,20\n640,500,0,20\n")
+    found = read_control_points(file, few=True)
+    assert found.datum is None
+    assert found.local_m.tolist() == [[0.0, 20.0]]

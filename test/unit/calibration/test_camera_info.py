@@ -113,3 +113,36 @@ def test_a_focal_length_of_another_zoom_is_told_and_not_used() -> None:
     report = calibration_report(plane, SIZE)
     assert report.doubtful
     assert any("4000 px" in text and "1400 ±" in text for text in report.sentences())
+
+
+MESSAGE = """\
+header: {frame_id: north}
+height: 1080
+width: 1920
+distortion_model: plumb_bob
+d: [-0.25, 0.05, 0.0, 0.0, 0.0]
+k: [1400.0, 0.0, 959.5, 0.0, 1400.0, 539.5, 0.0, 0.0, 1.0]
+roi: {x_offset: 0, y_offset: 0, height: 0, width: 0, do_rectify: false}
+---
+"""
+
+
+def test_a_message_as_it_is_printed_is_read(tmp_path: Path) -> None:
+    assert read_camera_info(write(tmp_path, MESSAGE)) == LENS
+    part = MESSAGE.replace("x_offset: 0", "x_offset: 64").replace("width: 0", "width: 960")
+    with pytest.raises(GeoOrbitError, match=r"region of interest.*\(64, 0\).*1920x1080"):
+        read_camera_info(write(tmp_path, part))
+
+
+@pytest.mark.parametrize(
+    "matrix",
+    [
+        "[1400.0, 0.0, 0.0, 0.0, 1400.0, 0.0, 959.5, 539.5, 1.0]",
+        "[1400.0, 40.0, 959.5, 0.0, 1400.0, 539.5, 0.0, 0.0, 1.0]",
+        "[1400.0, 0.0, 959.5, 0.0, 1400.0, 539.5, 0.0, 0.0, 0.0]",
+    ],
+)
+def test_a_matrix_of_another_form_is_refused(tmp_path: Path, matrix: str) -> None:
+    text = YAML.replace("[1400.0, 0.0, 959.5, 0.0, 1400.0, 539.5, 0.0, 0.0, 1.0]", matrix)
+    with pytest.raises(GeoOrbitError, match="fx, 0, cx; 0, fy, cy; 0, 0, 1"):
+        read_camera_info(write(tmp_path, text))

@@ -20,6 +20,7 @@ from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.cli.main import main
 from geoorbit_ros.cli.place_on_map import Whereabouts, parse_compass, place_on_map
+from geoorbit_ros.roadnet.network import load_network
 from geoorbit_ros.scenes.network import write_network
 from geoorbit_ros.scenes.roads import place_roads
 from geoorbit_ros.scenes.scene import load_scene
@@ -62,7 +63,9 @@ def placed(
     near = moved(name, east_m, north_m)
     with TemporaryDirectory() as folder:
         network = write_network(place_roads(load_scene(name)), Path(folder), run.datum)
-        where = Whereabouts(network, near, sigma_m, looks_deg if with_looks else None)
+        where = Whereabouts(
+            load_network(network, near), near, sigma_m, looks_deg if with_looks else None
+        )
         found, said = place_on_map(points, run.frames, run.image_size, where)
     return points, found, "\n".join(said)
 

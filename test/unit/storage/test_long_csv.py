@@ -150,3 +150,18 @@ def test_other_columns_and_options_are_for_the_other_reader(tmp_path: Path) -> N
     assert read_clean(path, ReadOptions(columns={"x": "x"})) is None
     other = written(tmp_path / "other.csv", lines(), HEADER.replace("conf", "score"))
     assert read_clean(other, OPTIONS) is None
+
+
+@pytest.mark.parametrize("column", [0, 2, 5])
+def test_hexadecimal_numbers_are_none_wherever_they_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, column: int
+) -> None:
+    monkeypatch.setattr(long_csv, "HEAD_BYTES", 1000)
+    rows = [f"{k % 3},{k / 30:.6f},{k},2,0.9,{100 + k},200,40,30" for k in range(200)]
+    cells = rows[150].split(",")
+    cells[column] = f"0x{int(cells[column]):x}"
+    file = written(tmp_path / "tracks.csv", [*rows[:150], ",".join(cells), *rows[151:]])
+    assert read_clean(file, OPTIONS) is None
+    (frames, report), (plain, expected) = spool_tracks(file, OPTIONS), read_tracks(file, OPTIONS)
+    assert same(frames, plain)
+    assert list(report.sentences()) == list(expected.sentences())

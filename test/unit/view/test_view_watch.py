@@ -215,3 +215,47 @@ def test_a_drift_is_seen_although_all_that_the_image_shows_changes_meanwhile() -
     assert len(watcher.places[0].references) > 1
     assert look.state is ViewState.MOVED
     assert size_of_move(look.motion @ np.linalg.inv(motion), SIZE) < 0.4, "of five pixels"
+
+
+def test_a_stray_image_of_another_size_does_not_become_the_view() -> None:
+    scene = scenery(3)
+    watcher = ViewWatch()
+    for k in range(12):
+        watcher.look(k * 10**9, view(scene))
+    kept = list(watcher.places)
+    small = cv2.resize(view(scene), (320, 180))
+    watcher.look(12 * 10**9, np.asarray(small, np.uint8))
+    looks = [watcher.look(k * 10**9, view(scene, bump(20.0, 0.0))) for k in range(13, 25)]
+    assert watcher.places == kept
+    assert looks[-1].state is ViewState.MOVED
+    assert looks[-1].moved_px == pytest.approx(20.0, abs=3.0)
+
+
+def test_files_of_views_may_lie_in_folders_with_blanks(tmp_path: Path) -> None:
+    left, right = tmp_path / "my cameras" / "left.png", tmp_path / "right.png"
+    found = named_files(f"left={left} right={right}", "parameter 'view_images'")
+    assert found == {"left": left, "right": right}
+    assert named_files("", "parameter 'view_images'") == {}
+
+
+def test_any_damage_to_saved_views_is_told(tmp_path: Path) -> None:
+    watcher = ViewWatch()
+    for k in range(12):
+        watcher.look(k * 10**9, view(scenery(4)))
+    file = tmp_path / "views.npz"
+    assert watcher.size is not None
+    save_places(file, watcher.places, watcher.size, "mark")
+    good = file.read_bytes()
+    assert load_places(file, "mark")[0]
+    for at in range(0, len(good), max(1, len(good) // 40)):
+        file.write_bytes(good[:at] + bytes(64) + good[at + 64 :])
+        try:
+            load_places(file, "mark")
+        except InputFileError as error:
+            assert "views" in str(error) or "format" in str(error)
+        file.write_bytes(good[:at])
+        with pytest.raises(InputFileError):
+            load_places(file, "mark")
+    save_places(file, watcher.places, (640, 480), "mark")
+    with pytest.raises(InputFileError, match="pictures of"):
+        load_places(file, "mark")
