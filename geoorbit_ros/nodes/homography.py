@@ -9,18 +9,11 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from geometry_msgs.msg import PoseArray
 from numpy.typing import NDArray
-from rclpy.qos import qos_profile_sensor_data
-from rclpy.serialization import deserialize_message
-from sensor_msgs.msg import CameraInfo, NavSatFix, PointCloud2
+from sensor_msgs.msg import NavSatFix, PointCloud2
 from std_msgs.msg import Float64MultiArray
 
 from geoorbit_ros.calibration.box_projector import BoxProjector
-from geoorbit_ros.calibration.camera_info import (
-    behind_lens,
-    lens_of,
-    read_calibration,
-    whole_images,
-)
+from geoorbit_ros.calibration.camera_info import read_calibration
 from geoorbit_ros.calibration.control_points import ControlPoints
 from geoorbit_ros.calibration.datum import Datum, given_datum
 from geoorbit_ros.calibration.homography import Homography, fit_homography
@@ -35,6 +28,7 @@ from geoorbit_ros.conversions import (
 from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
+from geoorbit_ros.nodes.support.lens_listener import LensListener
 from geoorbit_ros.nodes.support.process import run_node
 from geoorbit_ros.nodes.support.qos import LATCHED, LOOKS, stream_qos
 from geoorbit_ros.nodes.support.road_paint import PLANE_TOPIC
@@ -42,10 +36,6 @@ from geoorbit_ros.nodes.support.table_stream import TableStream
 from geoorbit_ros.view.looks import VIEW_DTYPE, look_of
 from geoorbit_ros.view.memory import named_files
 from geoorbit_ros.view.projection import ViewProjector
-
-INFO_TOPIC = "camera_info"
-AFTER_STAMP = 12
-"""Bytes of a serialised message before what follows its stamp."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,10 +93,7 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
         self._fix = self.create_publisher(NavSatFix, "datum", LATCHED)
         self._fix.publish(datum_to_fix(origin, p.frame_id))
         self._on_road = 0
-        self._info, self._lens_remarks = b"", list[str]()
-        self.create_subscription(
-            CameraInfo, INFO_TOPIC, self._on_camera_info, qos_profile_sensor_data, raw=True
-        )
+        self._lens = LensListener(self, lambda: self._homography.points, self._calibrate)
         TableStream(self, "tracks_px", PIXEL_TRACK_DTYPE, p, self._on_frame, self._restart)
         self._view_topic = self.resolve_topic_name("view")
         self.create_subscription(PointCloud2, "view", self._on_view, LOOKS, raw=True)
@@ -129,31 +116,6 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
     def _restart(self) -> None:
         self._views.reset()
 
-    def _on_camera_info(self, cdr: bytes) -> None:
-        """Take the lens of the first one, where no file says it; tell when it is another one."""
-        if cdr[AFTER_STAMP:] == self._info:  # as with every image before
-            return
-        self._info = cdr[AFTER_STAMP:]
-        place = self.resolve_topic_name(INFO_TOPIC)
-        try:
-            info = deserialize_message(cdr, CameraInfo)
-            if not (info.width and info.height and info.k[0]):  # a camera that isn't calibrated
-                return
-            size = (info.width, info.height)
-            part = info.roi.x_offset, info.roi.y_offset, info.roi.width, info.roi.height
-            whole_images(size, part, place)
-            lens = lens_of(size, info.k.tolist(), info.distortion_model, info.d.tolist(), place)
-            points, before = self._homography.points, len(self._homography.points.report.remarks)
-            behind = behind_lens(points, lens, place)
-            if behind is not points:
-                self._calibrate(behind)
-            found = points.report.remarks[before:]
-            self._lens_remarks = [r.sentence(len(points), "control points") for r in found]
-        except (GeoOrbitError, RuntimeError) as error:
-            self._lens_remarks = [f"not used: {error}"]
-        for sentence in self._lens_remarks:
-            self.get_logger().warning(sentence)
-
     def diagnostic_values(self) -> Mapping[str, object]:
         """Reprojection error of every control point, and what became of the boxes."""
         residual, points = self._homography.residual, self._homography.points
@@ -164,7 +126,7 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
         }
         counts = {f"boxes_{key}": n for key, n in asdict(self._projector.counts).items()}
         readers = self.tracks.get_subscription_count()
-        remarks = " ".join([*self._sentences(), *self._lens_remarks])
+        remarks = " ".join([*self._sentences(), *self._lens.remarks])
         return {
             "vehicles": self._on_road,
             "tracks_subscribers": readers,
