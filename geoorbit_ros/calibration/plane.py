@@ -166,6 +166,15 @@ class Homography(RoadPlane):
         """Origin of the map frame, None when the control points were given in metres."""
         return self.points.datum
 
+    def residual_texts(self) -> dict[str, str]:
+        """By `control_point_line_<line>`, the error at each control point, for tables."""
+        r = self.residual
+        return {
+            f"control_point_line_{self.points.line_number[k]}": f"{r.pixel_error[k]:.2f} px, "
+            f"{r.ground_error_m[k]:.3f} m{'' if r.inlier[k] else ', rejected'}"
+            for k in range(len(self.points))
+        }
+
     def describe_residuals(self) -> list[str]:
         """One sentence per control point: where it is, its error, whether it was used."""
         lines = []

@@ -118,12 +118,6 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
 
     def diagnostic_values(self) -> Mapping[str, object]:
         """Reprojection error of every control point, and what became of the boxes."""
-        residual, points = self._homography.residual, self._homography.points
-        errors = {
-            f"control_point_line_{points.line_number[k]}": f"{residual.pixel_error[k]:.2f} px, "
-            f"{residual.ground_error_m[k]:.3f} m{'' if residual.inlier[k] else ', rejected'}"
-            for k in range(len(points))
-        }
         counts = {f"boxes_{key}": n for key, n in asdict(self._projector.counts).items()}
         readers = self.tracks.get_subscription_count()
         remarks = " ".join([*self._sentences(), *self._lens.remarks])
@@ -133,7 +127,7 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
             "frames_left_out_by_view": self._views.left_out,
             **counts,
             "remarks": remarks,
-            **errors,
+            **self._homography.residual_texts(),
         }
 
     @property
@@ -178,11 +172,7 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
 
     def _view_fault(self) -> str | None:
         """Why there are no tracks, while the image shows no calibrated view."""
-        look = self._views.motions.latest
-        if look is None or self._views.shows(look):
-            return None
-        state = look.state.name.lower().replace("_", " ")
-        return f"no tracks, lanes are held: the view is {state} (node view_watch says why)"
+        return self._views.fault
 
     def _on_frame(self, stamp_ns: int, rows: NDArray[np.void]) -> None:
         self._publish(self._views.take(stamp_ns, rows))

@@ -10,28 +10,24 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
-from rclpy.publisher import Publisher
-from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 
-from geoorbit_ros.conversions import decode_string, encode_string, encode_table
+from geoorbit_ros.conversions import decode_string
 from geoorbit_ros.core.errors import GeoOrbitError, ParameterError
 from geoorbit_ros.core.tables import TRACK_DTYPE, one_frame
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.nodes.support.lane_reader import LaneReader
 from geoorbit_ros.nodes.support.process import run_node
-from geoorbit_ros.nodes.support.qos import LATCHED, LATCHED_ALL
+from geoorbit_ros.nodes.support.qos import LATCHED_ALL
 from geoorbit_ros.nodes.support.table_stream import TableStream
+from geoorbit_ros.nodes.support.traffic_publisher import TrafficPublisher
 from geoorbit_ros.storage.database.traffic import TrafficDatabase
 from geoorbit_ros.storage.ownership import Ownership
 from geoorbit_ros.traffic.class_schemes import named_scheme
-from geoorbit_ros.traffic.counter import Counted
-from geoorbit_ros.traffic.event_records import count_begun
 from geoorbit_ros.traffic.follower import STEP_BATCHES, TrafficFollower
 from geoorbit_ros.traffic.interval_clock import NS, IntervalClock, checked_zone
 from geoorbit_ros.traffic.lane_maps import MapShelf
-from geoorbit_ros.traffic.live import Finished, LiveTraffic
-from geoorbit_ros.traffic.messages import events_json, intervals_json, point_table
+from geoorbit_ros.traffic.live import LiveTraffic
 
 STEP_PERIOD_S = 0.5
 """Between two looks into the database, in wall time, which changes no result. Chosen: as often as
@@ -78,15 +74,10 @@ class TrafficNode(GeoOrbitNode[TrafficParameters]):
             p.interval_s, checked_zone(p.timezone, f"{place} 'timezone'")
         )
         self._scheme = named_scheme(p.class_scheme, f"{place} 'class_scheme'")
-        self.intervals = self.vehicles = self.events = 0
         self._follower: TrafficFollower | None = None
-        self._tables = {
-            topic: self.create_publisher(PointCloud2, f"traffic/{topic}", LATCHED_ALL)
-            for topic in ("intervals", "vehicles", "crossings", "events")
-        }
-        self._json: Publisher = self.create_publisher(String, "traffic/intervals_json", LATCHED)
-        self._now: Publisher = self.create_publisher(String, "traffic/events_json", LATCHED)
-        self._told_now = ""
+        self.published = TrafficPublisher(
+            self, p.frame_id, self._camera, self._scheme, self._interval_clock
+        )
         if p.database:
             if not self._camera:
                 found = "nothing, in the root namespace"
@@ -109,9 +100,9 @@ class TrafficNode(GeoOrbitNode[TrafficParameters]):
         live = self._live if self._follower is None else self._follower.live
         used = live.map_in_use if live else None
         return {
-            "intervals": self.intervals,
-            "vehicles": self.vehicles,
-            "events": self.events,
+            "intervals": self.published.intervals,
+            "vehicles": self.published.vehicles,
+            "events": self.published.events,
             "events_now": len(live.watch.lasting) if live and live.watch else 0,
             "lanes": len(used.lanes) if used else "not received yet",
             "map_stamp_s": used.map_ns / NS if used else "",
@@ -164,58 +155,24 @@ class TrafficNode(GeoOrbitNode[TrafficParameters]):
 
     def _publish_new(self) -> None:
         finished = self._live.finished()
-        self._publish(self._live.gone(), finished)
-        self._publish_events(self._live, self._live.events())
+        self.published.counts(self._live.gone(), finished)
+        self.published.told(self._live, self._live.events())
 
     def _step(self) -> None:
         """Count what is stored; while more may wait, at every turn of the executor."""
         assert self._follower is not None
         try:
             told = self._follower.step(STEP_BATCHES)
-            self._publish(told.counted, told.finished)
+            self.published.counts(told.counted, told.finished)
             self.diagnostics.received += told.batches
             live = self._follower.live
             if live is not None:
-                self._publish_events(live, told.events)
+                self.published.told(live, told.events)
             if self.p.retention_days > 0.0 and live is not None and live.newest_ns:
                 before_ns = live.newest_ns - round(self.p.retention_days * DAY_NS)
                 self._database.prune_traffic(before_ns)
         except GeoOrbitError as error:  # a full disk may have room again later
             self.diagnostics.refuse(error)
-
-    def _publish(self, counted: Counted, finished: Sequence[Finished]) -> None:
-        frame_id = self.p.frame_id
-        self.vehicles += counted.vehicles
-        for topic, rows, stamp in (
-            ("vehicles", counted.passages, "last_ns"),
-            ("crossings", counted.crossings, "stamp_ns"),
-        ):
-            if len(rows):
-                message = encode_table(int(rows[stamp].max()), frame_id, point_table(rows))
-                self._tables[topic].publish(message)
-        for part in finished:
-            stamp_ns = int(part.edges_ns[-1])
-            table = encode_table(stamp_ns, frame_id, point_table(part.measures))
-            self._tables["intervals"].publish(table)
-            self.intervals += len(part.edges_ns) - 1
-            self.diagnostics.published += 1
-        if finished:
-            text = intervals_json(finished[-1], self._scheme, self._interval_clock, self._camera)
-            self._json.publish(encode_string(text))
-
-    def _publish_events(self, live: LiveTraffic, rows: NDArray[np.void]) -> None:
-        """What was told of events, and all that last now, where that has changed."""
-        if len(rows):
-            stamp_ns = int(rows["stamp_ns"][-1])
-            table = encode_table(stamp_ns, self.p.frame_id, point_table(rows))
-            self._tables["events"].publish(table)
-            self.events += count_begun(rows)
-        if live.watch is None:
-            return
-        text = events_json(live.watch.lasting, self._interval_clock, self._camera)
-        if text != self._told_now:
-            self._now.publish(encode_string(text))
-            self._told_now = text
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -53,6 +53,15 @@ class ViewProjector:
         """Whether a look's image shows a view that is calibrated."""
         return look.usable and look.view in self._projectors
 
+    @property
+    def fault(self) -> str | None:
+        """Why there are no tracks, while the image shows no calibrated view."""
+        look = self.motions.latest
+        if look is None or self.shows(look):
+            return None
+        state = look.state.name.lower().replace("_", " ")
+        return f"no tracks, lanes are held: the view is {state} (node view_watch says why)"
+
     def take(self, stamp_ns: int, rows: NDArray[np.void]) -> Iterator[tuple[int, NDArray[np.void]]]:
         """Take a frame of `PIXEL_TRACK_DTYPE`; those that are done, `TRACK_DTYPE`.
 

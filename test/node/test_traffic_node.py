@@ -55,7 +55,7 @@ def wait_stored(probe: Probe, path: Path, last_ns: int) -> None:
 
 
 def wait_intervals(run: Composition, node: TrafficNode, count: int) -> None:
-    run.wait(lambda: node.intervals == count, LIMIT_S, f"{count} intervals")
+    run.wait(lambda: node.published.intervals == count, LIMIT_S, f"{count} intervals")
 
 
 def expected(frames: Frames, until_ns: int) -> np.ndarray:
@@ -71,7 +71,9 @@ def test_intervals_of_topics_are_those_of_the_offline_way(nodes: Composition) ->
     texts = probe.listen("traffic/intervals_json", String)
     probe.publisher("lanes/geojson", String, LATCHED).publish(String(data=TEXT))
     send_all(probe, frames)
-    probe.until(lambda: node.intervals == 3 and len(heard) == node.diagnostics.published, "three")
+    probe.until(
+        lambda: node.published.intervals == 3 and len(heard) == node.diagnostics.published, "three"
+    )
     rows = np.concatenate([rows for _, _, rows in heard])
     until_ns = SUMMER_ENDS_NS + 180 * 10**9
     assert rows.tobytes() == expected(frames, until_ns).tobytes()
