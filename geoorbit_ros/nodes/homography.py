@@ -94,7 +94,9 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
         self._fix.publish(datum_to_fix(origin, p.frame_id))
         self._on_road = 0
         self._lens = LensListener(self, lambda: self._homography.points, self._calibrate)
-        TableStream(self, "tracks_px", PIXEL_TRACK_DTYPE, p, self._on_frame, self._restart)
+        TableStream(
+            self, "tracks_px", PIXEL_TRACK_DTYPE, p, self._on_frame, lambda: self._views.reset()
+        )
         self._view_topic = self.resolve_topic_name("view")
         self.create_subscription(PointCloud2, "view", self._on_view, LOOKS, raw=True)
 
@@ -112,9 +114,6 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
         if self._projector.pose_error is not None:
             self.get_logger().warning(str(self._projector.pose_error))
         self._plane.publish(plane_message(self._homography, size))
-
-    def _restart(self) -> None:
-        self._views.reset()
 
     def diagnostic_values(self) -> Mapping[str, object]:
         """Reprojection error of every control point, and what became of the boxes."""
