@@ -103,7 +103,6 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
     def _calibrate(self, points: ControlPoints) -> None:
         """Fit the road plane, tell what is to be said about it, and publish it."""
         p = self.p
-        size = (p.image_width, p.image_height)
         self._homography = fit_homography(points, p.pixel_sigma, p.ground_sigma_m)
         self._projector = self._projector_of(self._homography)
         self._views = ViewProjector(self._projector, self._others)
@@ -113,7 +112,7 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
             self.get_logger().warning(f"{points.place}: {sentence}")
         if self._projector.pose_error is not None:
             self.get_logger().warning(str(self._projector.pose_error))
-        self._plane.publish(plane_message(self._homography, size))
+        self._plane.publish(plane_message(self._homography, (p.image_width, p.image_height)))
 
     def diagnostic_values(self) -> Mapping[str, object]:
         """Reprojection error of every control point, and what became of the boxes."""
@@ -184,13 +183,12 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
             self.diagnostics.refuse(error)
 
     def _publish(self, frames: Iterable[tuple[int, NDArray[np.void]]]) -> None:
-        frame_id = self.p.frame_id
         for stamp_ns, ground in frames:
             self._on_road = len(ground)
-            self.publish_stream(self.tracks, encode_table(stamp_ns, frame_id, ground))
+            self.publish_stream(self.tracks, encode_table(stamp_ns, self.p.frame_id, ground))
             if self._vehicles.get_subscription_count():
                 poses = vehicle_poses(ground)
-                self._vehicles.publish(encode_pose_array(stamp_ns, frame_id, *poses))
+                self._vehicles.publish(encode_pose_array(stamp_ns, self.p.frame_id, *poses))
 
 
 def main(args: Sequence[str] | None = None) -> int:
