@@ -35,6 +35,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.calibration.lens import Lens
 from geoorbit_ros.calibration.plane import RoadPlane
+from geoorbit_ros.core.bounded_json import MAX_TEXT
 from geoorbit_ros.core.cdr import ENCAPSULATION, SECOND_NS, CdrReader, CdrWriter, with_stamp
 from geoorbit_ros.core.errors import CalibrationError, MessageError
 from geoorbit_ros.core.lanes import Lane, LaneMap
@@ -125,8 +126,10 @@ def decode_string(cdr: bytes, place: str) -> str:
     """The text in a serialised `std_msgs/String`.
 
     Raises:
-        MessageError: Bytes that are none.
+        MessageError: Bytes that are none, or more than any text has.
     """
+    if len(cdr) > MAX_TEXT:
+        raise MessageError(place, f"{len(cdr)} bytes", f"a text of {MAX_TEXT} bytes at most")
     return CdrReader(cdr, place, "a std_msgs/String").text()
 
 

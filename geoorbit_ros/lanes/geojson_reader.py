@@ -6,7 +6,6 @@ out, counted and told; a file is refused when most of it is bad.
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.core.bounded_json import read_json
 from geoorbit_ros.core.errors import InputFileError
 from geoorbit_ros.core.input_report import InputReport, Treatment
 from geoorbit_ros.core.lanes import (
@@ -33,6 +33,11 @@ EXPECTED = "a GeoJSON file of lanes"
 ROLES = ("centerline", "left", "right")
 MAX_EXTENT_M = 20_000.0
 """A lane further from the datum than this is in the wrong place: no camera sees 20 km."""
+MAX_LANE_ID = 2**31 - 1
+"""Ids of lanes are 32 bits wide in messages."""
+MAX_FILE_TEXT = 256_000_000
+"""Characters of a file. Chosen: lanes of a whole city; what comes in messages is bounded before
+(`core.bounded_json`)."""
 DRAWN_WIDTH_M = 3.5
 """Distance between boundaries that are made up because a file has only centrelines."""
 
@@ -86,15 +91,7 @@ def parse_collection(text: str, path: Path) -> Collection:
     Raises:
         InputFileError: Not JSON, not a FeatureCollection of lane lines.
     """
-    try:
-        data = json.loads(text)
-    except json.JSONDecodeError as error:
-        where = f"{path}, line {error.lineno}"
-        raise InputFileError(where, error.msg, "a GeoJSON file") from error
-    except RecursionError as error:
-        raise InputFileError(
-            str(path), "lists in lists, too deep to read", "a GeoJSON file"
-        ) from error
+    data = read_json(text, str(path), "a GeoJSON file", InputFileError, MAX_FILE_TEXT)
     if isinstance(data, dict) and data.get("type") == "Feature":
         data = {"type": "FeatureCollection", "features": [data]}
     if not isinstance(data, dict) or data.get("type") != "FeatureCollection":
@@ -204,9 +201,11 @@ def map_of(collection: Collection, datum: Datum, lanes: tuple[Lane, ...]) -> Lan
             ring = np.asarray(about["visible"]["coordinates"][0], dtype=np.float64)
             visible = datum.to_local(ring[:-1, 1], ring[:-1, 0])
         doubtful = about.get("doubtful") is True
-        stamp_ns = int(about.get("stamp_ns", 0))
-        return LaneMap(stamp_ns, lanes, sections, visible, doubtful=doubtful)
-    except (TypeError, KeyError, ValueError, IndexError) as error:
+        stamp_ns = about.get("stamp_ns", 0)
+        if not (is_number(stamp_ns) and abs(stamp_ns) < 2**63):
+            raise ValueError(f"stamp_ns {stamp_ns!r:.40}")
+        return LaneMap(int(stamp_ns), lanes, sections, visible, doubtful=doubtful)
+    except (TypeError, KeyError, ValueError, IndexError, OverflowError) as error:
         place = f"{collection.path}, 'geoorbit'"
         raise InputFileError(place, error, "the members docs/formats.md lists") from error
 
@@ -343,8 +342,8 @@ def _line(path: Path, k: int, feature: Any) -> Line:
         found = geometry.get("type") if isinstance(geometry, dict) else geometry
         raise InputFileError(f"{place}, 'geometry'", repr(found), "a LineString")
     lane_id = properties.get("lane_id")
-    if not is_number(lane_id) or lane_id != int(lane_id):
-        raise InputFileError(f"{place}, 'lane_id'", repr(lane_id), "a whole number")
+    if not is_number(lane_id) or lane_id != int(lane_id) or abs(lane_id) > MAX_LANE_ID:
+        raise InputFileError(f"{place}, 'lane_id'", repr(lane_id), "a whole number of 32 bits")
     for key, values, default in (
         ("role", ROLES, "centerline"),
         ("status", get_args(Status), "confirmed"),

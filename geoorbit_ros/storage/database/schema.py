@@ -37,6 +37,18 @@ _WRITER_CACHE_KB = 256
 """Writing at the end touches few pages. SQLite's 2 MB would be filled with old ones over minutes,
 in each of a thousand recorders."""
 
+AGEING = {
+    "track_batch": ("camera", "end_ns"),
+    "lane_map": ("camera", "stamp_ns"),
+    "view_event": ("camera", "end_ns"),
+    "traffic_interval": ("series", "end_ns"),
+    "traffic_vehicle": ("camera", "end_ns"),
+    "traffic_movement": ("series", "end_ns"),
+    "traffic_event": ("series", "end_ns"),
+}
+"""Tables of which old rows are deleted, with the column that says whose they are, and the stamp
+that says how old those are that were stored before version 5. Part of a released script."""
+
 MIGRATIONS: tuple[str, ...] = (
     # 1: The index over five columns answers what is in the file without touching a block.
     """
@@ -161,9 +173,16 @@ MIGRATIONS: tuple[str, ...] = (
     );
     CREATE INDEX view_event_age ON view_event (end_ns);
     """,
+    # 5: When rows were stored, by this computer's clock: what a stamp says deletes nothing.
+    "".join(
+        f"ALTER TABLE {table} ADD COLUMN stored_ns INTEGER; DROP INDEX {table}_age;"
+        f" CREATE INDEX {table}_age ON {table} ({owner}, coalesce(stored_ns, {ended}));"
+        for table, (owner, ended) in AGEING.items()
+    ).rstrip(";"),
 )
 """Script k brings a database of version k to k + 1. Never change one that was released: add.
-Scripts so far only add tables: readers take older files, too, and find those tables empty."""
+Scripts add tables, and columns that only writers ask for: readers take older files, too, and find
+those tables empty."""
 
 
 @contextmanager
