@@ -49,8 +49,9 @@ import yaml
 from geoorbit_ros.core.resources import share_path
 from geoorbit_ros.federated.keys import Signer
 from geoorbit_ros.federated.payloads.model_layout import ModelLayout
-from geoorbit_ros.federated.rounds.server_state import Answers, read_checkpoint
+from geoorbit_ros.federated.rounds.server_state import KIND, Answers, read_checkpoint
 from geoorbit_ros.learning.meta_learner import MetaLearner
+from geoorbit_ros.storage.state_file import StateFile
 
 CAMERAS = ("north", "south", "west", "east")
 LIMIT_BYTES = 28_000
@@ -436,7 +437,7 @@ def run(
             process.send_signal(signal.SIGKILL)
             process.wait(10.0)
     layout = ModelLayout.of(MetaLearner.untrained(0).tensors())
-    state = read_checkpoint(folder / "server.npz", layout, Answers(()))
+    state = read_checkpoint(StateFile(folder / "server.npz", KIND), layout, Answers(()))
     if state is None or not state.finished:
         raise SystemExit((folder / "server.log").read_text())
     updates = [record.updates for record in state.history]

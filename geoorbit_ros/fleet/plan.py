@@ -341,7 +341,7 @@ def select(plans: Sequence[ProcessPlan], only: Sequence[str]) -> tuple[ProcessPl
 
 def _check_names(fleet: Fleet) -> None:
     for camera in fleet.cameras:
-        if camera.id in SERVICES:
+        if camera.id in SERVICES or f"{camera.id}.key" == SERVER_KEY:
             raise FleetPlanError("fleet, camera id", f"'{camera.id}'", "a name that no service has")
 
 

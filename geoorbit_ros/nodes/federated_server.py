@@ -19,6 +19,7 @@ from geoorbit_ros.federated.keys import Roster, Signer, read_private_key
 from geoorbit_ros.federated.payloads.header import schema_of
 from geoorbit_ros.federated.privacy.coordinator import MIN_CLIENTS
 from geoorbit_ros.federated.privacy.message import SCHEMA as SECURE
+from geoorbit_ros.federated.rounds.epoch import Epochs
 from geoorbit_ros.federated.rounds.server import FederatedServer
 from geoorbit_ros.federated.rounds.server_config import ServerConfig
 from geoorbit_ros.federated.rounds.verdict import MIN_VALIDATION_CLIENTS, validation_divisor
@@ -98,15 +99,19 @@ class FederatedServerNode(GeoOrbitNode[FederatedServerParameters]):
             found = "secure_aggregation with reliability best_effort"
             raise FederationError("federated_server", found, "reliable: its steps are sent once")
         private = read_private_key(self.p.key_file) if self.p.key_file else None
-        roster = Roster.read(self.p.roster)
+        signer = Signer(private, self.p.federation)
+        roster = Roster.read(self.p.roster, signer.public)
         self.server = FederatedServer(
             self.p.config(int(time.time()), roster),
             starting_learner(self.p.model_file, self.p.seed).tensors(),
             roster,
             make_strategy(self.p.strategy, self.p.settings()),
-            Signer(private, self.p.federation),
+            signer,
             Path(self.p.checkpoint) if self.p.checkpoint else None,
+            Epochs(Path(f"{self.p.key_file}.run") if self.p.key_file else None),
         )
+        for note in self.server.notes:
+            self.get_logger().warning(note)
         depth = self.p.keyframe_interval
         self._models = PayloadPublisher(self, "/federated/global_model", model_qos(depth))
         self._steps = PayloadPublisher(self, "/federated/secure_aggregation", updates_qos())
@@ -115,7 +120,7 @@ class FederatedServerNode(GeoOrbitNode[FederatedServerParameters]):
         subscribe_payloads(self, "/federated/client_update", updates, self._on_update)
         self.create_timer(PERIOD_S, self._on_time, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._fault = ""
-        self.diagnostics.add_check(lambda: self._fault or None)
+        self.diagnostics.add_check(lambda: self._fault or self.server.fault or None)
         self._send(self.server.start(time.monotonic()))
         resumed = "resumed at" if self.server.resumed else "starts with"
         if self.server.round > self.p.rounds:

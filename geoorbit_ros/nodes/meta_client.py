@@ -57,11 +57,13 @@ class MetaClientNode(GeoOrbitNode[MetaClientParameters]):
 
     Publishes `lane_parameters`, latched, for every new model and observation, and
     `/federated/client_update` for every round that it is selected for. Training runs in a process
-    of its own at low priority, so that nothing here waits for it.
+    of its own at low priority, so that nothing here waits for it. Whatever fails here, the nodes
+    beside it go on.
     """
 
     name = "meta_client"
     struct = MetaClientParameters
+    optional = True
 
     def setup(self) -> None:
         """Take up the state file if there is one, and wait for a model."""
@@ -76,6 +78,9 @@ class MetaClientNode(GeoOrbitNode[MetaClientParameters]):
             interface=INTERFACE,
             state_path=Path(p.state_file) if p.state_file else None,
         )
+        for note in self.client.notes:
+            self.get_logger().warning(note)
+        self.diagnostics.add_check(lambda: self.client.fault or None)
         self._training = BackgroundProcess()
         self.session = CameraSession(
             self.client, signer, p.estimator, p.observation_s, self._training, p.resend_s

@@ -23,10 +23,11 @@ from geoorbit_ros.federated.rounds.client import FederatedClient
 from geoorbit_ros.federated.rounds.in_process import run_in_process
 from geoorbit_ros.federated.rounds.server import FederatedServer
 from geoorbit_ros.federated.rounds.server_config import ServerConfig
-from geoorbit_ros.federated.rounds.server_state import Answers, ServerState, read_checkpoint
+from geoorbit_ros.federated.rounds.server_state import KIND, Answers, ServerState, read_checkpoint
 from geoorbit_ros.learning.camera_session import INTERFACE
 from geoorbit_ros.learning.meta_learner import MetaLearner
 from geoorbit_ros.nodes.support.composition import DomainClaim
+from geoorbit_ros.storage.state_file import StateFile
 
 REPOSITORY = Path(__file__).parents[2]
 CAMERAS = ("north", "south")
@@ -118,7 +119,7 @@ class Processes:
     def state(self) -> ServerState | None:
         path = self.folder / "server.npz"
         layout = new_server(Roster.read(self.folder / "roster.txt")).layout
-        return read_checkpoint(path, layout, Answers(()))
+        return read_checkpoint(StateFile(path, KIND), layout, Answers(()))
 
 
 @pytest.fixture

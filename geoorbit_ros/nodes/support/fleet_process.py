@@ -17,6 +17,7 @@ from typing import Any
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.fleet.plan import SECRETS_VARIABLE, NodePlan, ProcessPlan
 from geoorbit_ros.fleet.supervisor import HEARTBEAT_PERIOD_S
+from geoorbit_ros.nodes.support.absent import made_or_absent
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.nodes.support.process import run_nodes
 
@@ -115,7 +116,7 @@ def run_group(plan: ProcessPlan, heartbeat: Heartbeat) -> int:
 
 def _make(plan: NodePlan) -> GeoOrbitNode[Any]:
     make = node_class(plan.executable)
-    return make(namespace=plan.namespace or None, overrides=plan.parameters)
+    return made_or_absent(make, plan.namespace or None, plan.parameters)
 
 
 def run_plan(plan_file: str, descriptor: str) -> int:
