@@ -47,11 +47,11 @@ import numpy as np
 import yaml
 
 from geoorbit_ros.core.resources import share_path
+from geoorbit_ros.core.state_file import StateFile
 from geoorbit_ros.federated.keys import Signer
 from geoorbit_ros.federated.payloads.model_layout import ModelLayout
 from geoorbit_ros.federated.rounds.server_state import KIND, Answers, read_checkpoint
 from geoorbit_ros.learning.meta_learner import MetaLearner
-from geoorbit_ros.storage.state_file import StateFile
 
 CAMERAS = ("north", "south", "west", "east")
 LIMIT_BYTES = 28_000

@@ -17,6 +17,7 @@ import pytest
 from camera_host import lesson
 
 from geoorbit_ros.core.resources import share_path
+from geoorbit_ros.core.state_file import StateFile
 from geoorbit_ros.federated.encodings.encoding import make_encoding
 from geoorbit_ros.federated.keys import Roster, Signer
 from geoorbit_ros.federated.rounds.client import FederatedClient
@@ -27,7 +28,6 @@ from geoorbit_ros.federated.rounds.server_state import KIND, Answers, ServerStat
 from geoorbit_ros.learning.camera_session import INTERFACE
 from geoorbit_ros.learning.meta_learner import MetaLearner
 from geoorbit_ros.nodes.support.composition import DomainClaim
-from geoorbit_ros.storage.state_file import StateFile
 
 REPOSITORY = Path(__file__).parents[2]
 CAMERAS = ("north", "south")

@@ -16,13 +16,13 @@ from pathlib import Path
 
 import pytest
 
+from geoorbit_ros.core.state_file import StateFile
 from geoorbit_ros.federated.keys import Roster, Signer
 from geoorbit_ros.federated.rounds.server import FederatedServer
 from geoorbit_ros.federated.rounds.server_config import ServerConfig
 from geoorbit_ros.federated.rounds.server_state import KIND, Answers, read_checkpoint
 from geoorbit_ros.learning.camera_session import INTERFACE
 from geoorbit_ros.learning.meta_learner import MetaLearner
-from geoorbit_ros.storage.state_file import StateFile
 
 REPOSITORY = Path(__file__).parents[2]
 CAMERAS = ("north", "south")

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from geoorbit_ros.core.errors import InputFileError
+from geoorbit_ros.core.state_file import StateFile
 from geoorbit_ros.federated.encodings.encoding import Encoding, ErrorFeedback, decode_vector
 from geoorbit_ros.federated.encodings.floats import Float32
 from geoorbit_ros.federated.errors import PayloadError, Refusal
@@ -34,7 +35,6 @@ from geoorbit_ros.federated.rounds.client_state import (
 )
 from geoorbit_ros.federated.rounds.local_work import LocalResult, Train, TrainingOrder, Work
 from geoorbit_ros.federated.rounds.verdict import is_training_client, is_validation_client
-from geoorbit_ros.storage.state_file import StateFile
 
 __all__ = ["FederatedClient", "LocalResult", "Train", "TrainingOrder", "Work"]
 

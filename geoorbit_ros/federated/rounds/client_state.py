@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from geoorbit_ros.core.array_file import read_arrays
+from geoorbit_ros.core.state_file import NewerStateError, StateFile
 from geoorbit_ros.federated.payloads.model_layout import ModelLayout, Vector
-from geoorbit_ros.storage.state_file import NewerStateError, StateFile
 
 FORMAT = 3
 """Of the file. 2: validation; 3: the server's key. Older ones are read."""
@@ -110,8 +111,7 @@ def read_client_state(file: StateFile, server: str) -> ClientState | None:
 
 
 def _client_state(path: Path) -> ClientState:
-    with np.load(path, allow_pickle=False) as file:
-        arrays = {name: file[name] for name in file.files}
+    arrays = read_arrays(path, KIND)
     facts = json.loads(arrays["facts"].tobytes())
     version = facts.get("format", 1)
     if version > FORMAT:

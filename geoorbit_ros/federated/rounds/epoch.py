@@ -10,8 +10,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from geoorbit_ros.core.errors import InputFileError
+from geoorbit_ros.core.state_file import StateFile
 from geoorbit_ros.federated.errors import FederationError
-from geoorbit_ros.storage.state_file import StateFile
 
 MAX_RUN = 2**32 - 1
 """Runs are 32 bits wide in payloads."""

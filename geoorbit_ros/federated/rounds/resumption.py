@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from geoorbit_ros.core.state_file import StateFile
 from geoorbit_ros.federated.payloads.model_layout import ModelLayout
 from geoorbit_ros.federated.rounds.epoch import Epochs
 from geoorbit_ros.federated.rounds.server_config import ServerConfig
 from geoorbit_ros.federated.rounds.server_state import ServerState
 from geoorbit_ros.federated.strategies.strategy import Strategy
-from geoorbit_ros.storage.state_file import StateFile
 
 
 @dataclass(frozen=True, slots=True)

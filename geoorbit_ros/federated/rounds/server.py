@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import InputFileError
+from geoorbit_ros.core.state_file import StateFile
 from geoorbit_ros.federated.errors import FederationError, PayloadError, Refusal
 from geoorbit_ros.federated.keys import Roster, Signer
 from geoorbit_ros.federated.payloads.client_update import ClientUpdate
@@ -40,7 +41,6 @@ from geoorbit_ros.federated.rounds.verdict import (
     is_validation_client,
 )
 from geoorbit_ros.federated.strategies.strategy import FedAvg, Strategy
-from geoorbit_ros.storage.state_file import StateFile
 
 RETRY_S = 5.0
 """Between two tries to save a round. Chosen: longer delays the next round once there is room."""

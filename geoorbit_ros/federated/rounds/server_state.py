@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.core.array_file import read_arrays
+from geoorbit_ros.core.state_file import NewerStateError, StateFile
 from geoorbit_ros.federated.errors import FederationError
 from geoorbit_ros.federated.payloads.model_layout import ModelLayout, Vector
 from geoorbit_ros.federated.rounds.open_round import Outcome
 from geoorbit_ros.federated.rounds.verdict import Verdict
-from geoorbit_ros.storage.state_file import NewerStateError, StateFile
 
 
 class Answers:
@@ -222,8 +223,7 @@ _Checkpoint = tuple[ModelLayout, dict[str, Any], dict[str, NDArray[Any]]]
 
 def _checkpoint(path: Path) -> _Checkpoint:
     """What is in a file, in the present format, and whole."""
-    with np.load(path, allow_pickle=False) as file:
-        arrays = {name: file[name] for name in file.files}
+    arrays = read_arrays(path, KIND)
     facts = json.loads(arrays.pop("facts").tobytes())
     version = facts.get("format", 1)
     if version > FORMAT:

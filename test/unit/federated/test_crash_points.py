@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from federation_parts import FEDERATION, Federation, signer_id
 
+from geoorbit_ros.core.state_file import StateFile
 from geoorbit_ros.federated.encodings.encoding import EncodingSettings, make_encoding
 from geoorbit_ros.federated.errors import PayloadError, Refusal
 from geoorbit_ros.federated.rounds import client as client_module
@@ -20,7 +21,6 @@ from geoorbit_ros.federated.rounds.server_config import ServerConfig
 from geoorbit_ros.federated.rounds.server_state import KIND, Answers, read_checkpoint
 from geoorbit_ros.federated.strategies.fedbuff import FedBuff
 from geoorbit_ros.federated.strategies.server_optimizers import FedAdam
-from geoorbit_ros.storage.state_file import StateFile
 
 NAMES = ("north", "south", "east")
 ROUNDS = 3

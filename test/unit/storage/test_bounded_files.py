@@ -128,11 +128,11 @@ def test_numbers_out_of_range_in_a_lane_map(number: str, where: str) -> None:
     values = dict.fromkeys(("stamp_ns", "lane_id", "coordinate", "width_m", "datum"), "1")
     values[where] = number
     text = (
-        '{"type": "FeatureCollection", "geoorbit": {"stamp_ns": %(stamp_ns)s, "datum":'
-        ' {"latitude": 1, "longitude": %(datum)s}}, "features": [{"type": "Feature",'
-        ' "properties": {"lane_id": %(lane_id)s, "width_m": %(width_m)s}, "geometry": {"type":'
-        ' "LineString", "coordinates": [[1, 1], [%(coordinate)s, 1.001]]}}]}'
-    ) % values
+        '{{"type": "FeatureCollection", "geoorbit": {{"stamp_ns": {stamp_ns}, "datum":'
+        ' {{"latitude": 1, "longitude": {datum}}}}}, "features": [{{"type": "Feature",'
+        ' "properties": {{"lane_id": {lane_id}, "width_m": {width_m}}}, "geometry": {{"type":'
+        ' "LineString", "coordinates": [[1, 1], [{coordinate}, 1.001]]}}}}]}}'
+    ).format(**values)
     try:
         found = parse_lane_file(text, "lanes/geojson")
     except GeoOrbitError as error:

@@ -112,7 +112,7 @@ def test_a_clock_that_is_not_set_judges_nothing() -> None:
 def test_stamps_of_the_future_are_refused_and_those_of_the_past_are_not() -> None:
     for stamp_ns in (0, NOW_NS, NOW_NS + DAY_NS):
         refuse_ahead(stamp_ns, "tracks", NOW_NS)
-    with pytest.raises(MessageError, match="tracks: found stamp .* 400 days after"):
+    with pytest.raises(MessageError, match=r"tracks: found stamp .* 400 days after"):
         refuse_ahead(NOW_NS + 400 * DAY_NS, "tracks", NOW_NS)
 
 
@@ -142,7 +142,7 @@ def test_one_writer_for_each_camera_under_whatever_name_the_file_has(tmp_path: P
         with TrajectoryDatabase(link) as second:
             second.claim("a.b")  # another camera
             second.claim("a/b", "traffic")
-            with pytest.raises(InputFileError, match="t.db, camera a/b: found in use by process"):
+            with pytest.raises(InputFileError, match=r"t\.db, camera a/b: found in use by process"):
                 second.claim("a/b")
     with TrajectoryDatabase(link) as second:
         second.claim("a/b")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import struct
 import zipfile
 import zlib
@@ -30,7 +31,7 @@ UNREADABLE = (
 )
 """What readers of arrays and JSON raise for bytes that are none."""
 MAX_STATE_BYTES = 1 << 30
-"""Longest file. Chosen: ten times the largest state; a longer one is not what this program wrote."""
+"""Longest file. Chosen: ten times the largest state; this program wrote no longer one."""
 
 Value = TypeVar("Value")
 
@@ -42,8 +43,9 @@ class NewerStateError(InputFileError):
 class StateFile:
     """A file that is replaced as a whole; the one before stays beside it, as `NAME.previous`.
 
-    After a crash at any moment one of the two is whole. A file that can't be read is renamed to
-    `NAME.damaged`, and the one before is used: a state is never a reason not to start.
+    After a crash at any moment the file is the old one or the new one. A file that can't be read is
+    renamed to `NAME.damaged`, and the one before is used: a state is never a reason not to start.
+    Who deletes the file begins anew, whatever is beside it.
 
     Args:
         path: The file; its folder is made with the first writing.
@@ -86,8 +88,7 @@ class StateFile:
                 stream.flush()
                 if sync:
                     os.fsync(stream.fileno())
-            with suppress(FileNotFoundError):
-                self.path.replace(self.previous)
+            self._keep_previous()
             scratch.replace(self.path)
             if sync:
                 self._sync_folder()
@@ -109,7 +110,8 @@ class StateFile:
             NewerStateError: As `parse`.
         """
         self.fell_back = False
-        for file in (self.path, self.previous):
+        generations = (self.path, self.previous) if self.path.exists() else ()
+        for file in generations:
             try:
                 if file.stat().st_size > MAX_STATE_BYTES:
                     raise ValueError(f"more than {MAX_STATE_BYTES} bytes")
@@ -118,10 +120,27 @@ class StateFile:
                 continue
             except NewerStateError:
                 raise
+            except OSError as error:  # of the disk, not of the content
+                found = error.strerror or type(error).__name__
+                self.told.append(str(InputFileError(str(file), found, self._kind)))
+                self.fell_back = True
             except (*UNREADABLE, GeoOrbitError) as error:
                 self._set_aside(file, error)
                 self.fell_back = True
         return None
+
+    def _keep_previous(self) -> None:
+        """Give the file that is there its second name, before it loses the first."""
+        if not self.path.exists():
+            return
+        scratch = self.path.with_name(f".{self.path.name}.old")
+        with suppress(FileNotFoundError):
+            scratch.unlink()
+        try:
+            os.link(self.path, scratch)
+        except OSError:  # a file system without such links
+            shutil.copyfile(self.path, scratch)
+        scratch.replace(self.previous)
 
     def _set_aside(self, file: Path, error: Exception) -> None:
         damaged = self.path.with_name(f"{self.path.name}.damaged")
