@@ -26,7 +26,7 @@ from geoorbit_ros.federated.rounds.verdict import MIN_VALIDATION_CLIENTS, valida
 from geoorbit_ros.federated.strategies.strategy import StrategySettings, make_strategy
 from geoorbit_ros.learning.camera_session import INTERFACE, starting_learner
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
-from geoorbit_ros.nodes.support.byte_topic import PayloadPublisher, subscribe_payloads
+from geoorbit_ros.nodes.support.byte_topic import PayloadPublisher, PayloadSubscription
 from geoorbit_ros.nodes.support.process import run_node
 from geoorbit_ros.nodes.support.qos import LATCHED, model_qos, updates_qos
 
@@ -116,8 +116,10 @@ class FederatedServerNode(GeoOrbitNode[FederatedServerParameters]):
         self._models = PayloadPublisher(self, "/federated/global_model", model_qos(depth))
         self._steps = PayloadPublisher(self, "/federated/secure_aggregation", updates_qos())
         self._status = self.create_publisher(String, "/federated/status", LATCHED)
-        updates = updates_qos(self.p.reliability)
-        subscribe_payloads(self, "/federated/client_update", updates, self._on_update)
+        updates = updates_qos(self.p.reliability, len(roster))
+        PayloadSubscription(
+            self, "/federated/client_update", updates, self._on_update, self.server.longest
+        )
         self.create_timer(PERIOD_S, self._on_time, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._fault = ""
         self.diagnostics.add_check(lambda: self._fault or self.server.fault or None)

@@ -18,11 +18,11 @@ from geoorbit_ros.core.errors import MessageError, PluginError
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.core.tables import TRACK_DTYPE
 from geoorbit_ros.federated.keys import Verifier, public_key
-from geoorbit_ros.federated.payloads.lane_parameters import ThetaInbox
+from geoorbit_ros.federated.payloads.lane_parameters import MAX_BYTES, ThetaInbox
 from geoorbit_ros.lanes.mapping.live_mapper import LiveMapper
 from geoorbit_ros.lanes.parameters import LaneParameters
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
-from geoorbit_ros.nodes.support.byte_topic import subscribe_payloads
+from geoorbit_ros.nodes.support.byte_topic import PayloadSubscription
 from geoorbit_ros.nodes.support.lane_publisher import LanePublisher
 from geoorbit_ros.nodes.support.process import run_node
 from geoorbit_ros.nodes.support.qos import LATCHED
@@ -85,7 +85,7 @@ class LaneGeometryNode(GeoOrbitNode[LaneGeometryParameters]):
         self._lanes = LanePublisher(self, p.frame_id, p.estimator, tentative=p.publish_tentative)
         TableStream(self, "tracks", TRACK_DTYPE, p, self._on_frame, self._mapper.restart)
         self.create_subscription(NavSatFix, "datum", self._on_datum, LATCHED)
-        subscribe_payloads(self, "lane_parameters", LATCHED, self._on_theta)
+        PayloadSubscription(self, "lane_parameters", LATCHED, self._on_theta, MAX_BYTES)
         self.create_service(Trigger, "~/update", self._on_update)
         self.diagnostics.add_check(self._doubt)
         self.get_logger().info(f"lanes are estimated by {p.estimator}")

@@ -20,7 +20,7 @@ from geoorbit_ros.learning.camera_session import INTERFACE, CameraSession
 from geoorbit_ros.learning.meta_learner import load_model
 from geoorbit_ros.learning.processes import BackgroundProcess
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
-from geoorbit_ros.nodes.support.byte_topic import PayloadPublisher, subscribe_payloads
+from geoorbit_ros.nodes.support.byte_topic import PayloadPublisher, PayloadSubscription
 from geoorbit_ros.nodes.support.process import run_node
 from geoorbit_ros.nodes.support.qos import LATCHED, model_qos, updates_qos
 from geoorbit_ros.nodes.support.reference_listener import ReferenceListener
@@ -93,8 +93,8 @@ class MetaClientNode(GeoOrbitNode[MetaClientParameters]):
         TableStream(self, "tracks", TRACK_DTYPE, p, self.session.add, self.session.restart)
         ReferenceListener(self, self._on_reference)
         models = model_qos(p.model_history)
-        subscribe_payloads(self, "/federated/global_model", models, self.session.receive)
-        subscribe_payloads(self, "/federated/secure_aggregation", updates_qos(), self._on_step)
+        PayloadSubscription(self, "/federated/global_model", models, self.session.receive)
+        PayloadSubscription(self, "/federated/secure_aggregation", updates_qos(), self._on_step)
         self.create_timer(PERIOD_S, self._on_time, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def diagnostic_values(self) -> Mapping[str, object]:

@@ -153,6 +153,11 @@ class FederatedServer:
         return self.layout.unflatten(self._state.model)
 
     @property
+    def longest(self) -> int:
+        """Bytes of the longest payload that a client may have to send, masked or not."""
+        return 16 * self.layout.size + 1024 * len(self._members) + 65536
+
+    @property
     def published(self) -> Tensors:
         """The model as the clients have it; differs from `tensors` by what encodings lose."""
         return self.layout.unflatten(self._state.published)
