@@ -111,16 +111,18 @@ class GeoOrbitNode(Node, Generic[Struct]):
     def create_subscription(
         self, msg_type: Any, topic: str, callback: Callable[..., None], *rest: Any, **named: Any
     ) -> Any:
-        """As rclpy's; see `_guarded`."""
-        return super().create_subscription(msg_type, topic, self._guarded(callback), *rest, **named)
+        """As rclpy's; see `_watched_over`."""
+        return super().create_subscription(
+            msg_type, topic, self._watched_over(callback), *rest, **named
+        )
 
     def create_timer(
         self, timer_period_sec: float, callback: Callable[..., None], *rest: Any, **named: Any
     ) -> Any:
-        """As rclpy's; see `_guarded`."""
-        return super().create_timer(timer_period_sec, self._guarded(callback), *rest, **named)
+        """As rclpy's; see `_watched_over`."""
+        return super().create_timer(timer_period_sec, self._watched_over(callback), *rest, **named)
 
-    def _guarded(self, callback: Callable[..., None]) -> Callable[..., None]:
+    def _watched_over(self, callback: Callable[..., None]) -> Callable[..., None]:
         """A callback that a full disk, and where the node is optional no failure, ends."""
 
         @functools.wraps(callback)
@@ -130,7 +132,9 @@ class GeoOrbitNode(Node, Generic[Struct]):
             except ExternalShutdownException:
                 raise
             except Exception as error:
-                fault = disk_fault(error) if isinstance(error, OSError) else None
+                fault: GeoOrbitError | None = None
+                if isinstance(error, OSError):
+                    fault = disk_fault(error)
                 if fault is None and self.optional:
                     fault = failure(error, f"node '{self.get_fully_qualified_name()}'")
                 if fault is None:
