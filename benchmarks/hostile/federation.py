@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import os
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -56,7 +57,8 @@ class Cameras:
         delta = {name: np.full_like(value, 0.01) for name, value in tensors.items()}
         return LocalResult(delta, 1, 0.5, float("nan"))
 
-    def server(self, make: type, **more: object) -> Victim:
+    def server(self, make: Callable[..., Victim], **more: object) -> Victim:
+        """A server for them."""
         folder = self.folder
         given: dict[str, object] = {
             "roster": folder / "roster.txt",
@@ -65,9 +67,11 @@ class Cameras:
             "validate_every": 0,
             "rounds": 20,
         }
-        return make("federated_server", folder, **(given | more))  # type: ignore[no-any-return]
+        return make("federated_server", folder, **(given | more))
 
     def listen(self, attacker: Attacker) -> None:
+        """Let them answer what they hear."""
+
         def take(message: ByteMultiArray) -> None:
             payload = b"".join(message.data)
             for client in self.clients:

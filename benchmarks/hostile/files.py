@@ -12,9 +12,10 @@ LIMIT_S, MEMORY_MB = 20.0, 3000
 FLEET = """
 import sys
 from geoorbit_ros.core.errors import GeoOrbitError
+from geoorbit_ros.core.input_report import InputReport
 from geoorbit_ros.fleet.fleet_io import load_fleet
 try:
-    load_fleet(sys.argv[1])
+    load_fleet(sys.argv[1], InputReport(sys.argv[1], "cameras", 1))
 except GeoOrbitError as error:
     print("refused:", str(error)[:200])
 """
@@ -38,11 +39,9 @@ def yaml_bomb(folder: Path) -> Finding:
     file.write_text("\n".join([*lines, "cameras: *a8", ""]))
     status, took_s, said = bounded([sys.executable, "-c", FLEET, str(file)], LIMIT_S, MEMORY_MB)
     sound = status == 0 and "refused" in said
-    what = f"{file.stat().st_size} bytes: " + (
-        f"refused in {took_s:.1f} s"
-        if sound
-        else f"{said.strip().splitlines()[-1][:60]} after {took_s:.0f} s"
-    )
+    last = said.strip().splitlines()[-1][:60] if said.strip() else f"status {status}"
+    outcome = f"refused in {took_s:.1f} s" if sound else f"{last} after {took_s:.0f} s"
+    what = f"{file.stat().st_size} bytes: {outcome}"
     return Finding("19: YAML bomb", float(not sound), what)
 
 

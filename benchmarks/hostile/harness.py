@@ -49,12 +49,14 @@ class Victim:
         self, executable: str, folder: Path, namespace: str = "", **parameters: object
     ) -> None:
         self.log = folder / f"{executable}{namespace.replace('/', '.')}.log"
-        words = [f"-p{name}:={value}" for name, value in parameters.items()]
-        given = [part for word in words for part in ("-p", word[2:])]
+        given = [part for n, value in parameters.items() for part in ("-p", f"{n}:={value}")]
         names = ["-r", f"__ns:={namespace}"] if namespace else []
         command = [sys.executable, "-m", f"geoorbit_ros.nodes.{executable}", "--ros-args"]
         with self.log.open("ab") as log:
-            self.process = subprocess.Popen([*command, *names, *given], stdout=log, stderr=log)
+            # Elsewhere: `-m` looks for modules in the working folder first.
+            self.process = subprocess.Popen(
+                [*command, *names, *given], stdout=log, stderr=log, cwd=folder
+            )
 
     @property
     def alive(self) -> bool:
@@ -156,7 +158,13 @@ def bounded(command: Sequence[str], limit_s: float, memory_mb: int) -> tuple[int
     begin_s = time.monotonic()
     try:
         done = subprocess.run(
-            command, capture_output=True, text=True, timeout=limit_s, preexec_fn=limit, check=False
+            command,
+            capture_output=True,
+            text=True,
+            timeout=limit_s,
+            preexec_fn=limit,
+            check=False,
+            cwd="/",
         )
     except subprocess.TimeoutExpired:
         return -1, time.monotonic() - begin_s, "out of time"

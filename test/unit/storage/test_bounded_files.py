@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from geoorbit_ros.core.bounded_json import MAX_DEPTH, MAX_TEXT, read_json
 from geoorbit_ros.core.errors import GeoOrbitError, InputFileError, MessageError
+from geoorbit_ros.core.input_report import InputReport
 from geoorbit_ros.detection.detector import ModelError
 from geoorbit_ros.detection.onnx.session import parse_metadata
 from geoorbit_ros.fleet.fleet_io import load_fleet
@@ -42,7 +43,7 @@ def test_anchors_that_stand_for_billions_are_refused(tmp_path: Path, text: str) 
     file.write_text(text)
     tracemalloc.start()
     with pytest.raises(InputFileError, match="anchor") as caught:
-        load_fleet(file)
+        load_fleet(file, InputReport(str(file), "cameras", 1))
     peak_bytes = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak_bytes < 20e6
