@@ -54,6 +54,7 @@ class RecorderNode(GeoOrbitNode[RecorderParameters]):
 
     name = "recorder"
     struct = RecorderParameters
+    optional = True
 
     def setup(self) -> None:
         """Open the database, then subscribe."""

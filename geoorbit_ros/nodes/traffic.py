@@ -62,6 +62,7 @@ class TrafficNode(GeoOrbitNode[TrafficParameters]):
 
     name = "traffic"
     struct = TrafficParameters
+    optional = True
 
     def setup(self) -> None:
         """Find the place to go on, or subscribe."""
