@@ -112,7 +112,10 @@ class _Deletion(TrafficDatabase):
             if not len(kept):
                 self._connection.execute("DELETE FROM track_batch WHERE id = ?", (number,))
             elif len(kept) < frames:
-                stamps, tables = batch.stamp_ns[kept].tolist(), [batch.frame(k) for k in kept]
+                stamps, tables = (
+                    batch.stamp_ns[kept].tolist(),
+                    [batch.frame(k) for k in kept.tolist()],
+                )
                 self._connection.execute(
                     "UPDATE track_batch SET start_ns = ?, end_ns = ?, frames = ?, row_count = ?,"
                     " data = ? WHERE id = ?",

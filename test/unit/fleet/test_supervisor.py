@@ -209,7 +209,7 @@ def test_a_log_is_set_aside_while_its_process_writes(
         raise OSError(28, "No space left on device")
 
     log.write_bytes(b"x" * 2000)
-    monkeypatch.setattr(supervisor.shutil, "copyfile", full)
+    monkeypatch.setattr("shutil.copyfile", full)
     supervisor.rotate(log)
     assert log.stat().st_size == 0
 

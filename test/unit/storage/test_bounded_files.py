@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import struct
 import tracemalloc
+import zlib
+from collections import Counter
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from geoorbit_ros import MAX_IMAGE_PIXELS
+from geoorbit_ros.conversions import encode_compressed_image
 from geoorbit_ros.core.bounded_json import MAX_DEPTH, MAX_TEXT, read_json
 from geoorbit_ros.core.errors import GeoOrbitError, InputFileError, MessageError
 from geoorbit_ros.core.input_report import InputReport
@@ -16,7 +21,9 @@ from geoorbit_ros.detection.detector import ModelError
 from geoorbit_ros.detection.onnx.session import parse_metadata
 from geoorbit_ros.fleet.fleet_io import load_fleet
 from geoorbit_ros.lanes.geojson import parse_lane_file
-from geoorbit_ros.storage.bag_folder import Faults, _metadata
+from geoorbit_ros.storage.bag_file import Faults
+from geoorbit_ros.storage.bag_folder import _metadata
+from geoorbit_ros.storage.image_cdr import decode_compressed_image, decode_reduced
 from geoorbit_ros.storage.tracks.classes import class_table
 
 LEVELS = 9
@@ -51,7 +58,7 @@ def test_anchors_that_stand_for_billions_are_refused(tmp_path: Path, text: str) 
     with pytest.raises(GeoOrbitError):
         class_table(str(file))
     (tmp_path / "metadata.yaml").write_text(text)
-    assert _metadata(tmp_path, Faults(str(tmp_path))) is None
+    assert _metadata(tmp_path, Faults(Counter())) is None
 
 
 def test_anchors_of_people_are_read(tmp_path: Path) -> None:
@@ -140,3 +147,29 @@ def test_numbers_out_of_range_in_a_lane_map(number: str, where: str) -> None:
         assert len(str(error)) < 300
         return
     assert -(2**63) <= found.lane_map.stamp_ns < 2**63
+
+
+def png(width: int, height: int) -> bytes:
+    """A black image, which packs a thousand to one."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        check = struct.pack(">I", zlib.crc32(kind + data))
+        return struct.pack(">I", len(data)) + kind + data + check
+
+    packer, row = zlib.compressobj(1), bytes(1 + width)
+    data = b"".join(packer.compress(row) for _ in range(height)) + packer.flush()
+    head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", data) + chunk(b"IEND", b"")
+
+
+def test_a_small_image_that_stands_for_gigabytes_is_refused() -> None:
+    side = 12_000  # 144 megapixels
+    assert side**2 > MAX_IMAGE_PIXELS
+    content = png(side, side)
+    assert len(content) < 1_000_000
+    message = encode_compressed_image(5, "camera", "png", content)
+    with pytest.raises(MessageError, match="no whole image"):
+        decode_compressed_image(message, "image/compressed")
+    assert decode_reduced(message, "image/compressed", (side, side), 8) is None
+    sound = encode_compressed_image(5, "camera", "png", png(64, 48))
+    assert decode_compressed_image(sound, "image/compressed")[2].shape == (48, 64, 3)

@@ -174,4 +174,5 @@ def test_a_file_of_every_version_is_read_and_brought_up_to_date(
     fresh = sqlite3.connect(tmp_path / "new.db")
     names = "SELECT name FROM sqlite_master WHERE name NOT LIKE 'sqlite_%' ORDER BY name"
     assert raw.execute(names).fetchall() == fresh.execute(names).fetchall()
-    raw.close(), fresh.close()
+    raw.close()
+    fresh.close()
