@@ -231,8 +231,13 @@ def test_traffic_is_judged_more_seldom_as_time_goes_on(monkeypatch: pytest.Monke
     """Within seconds at first, and later after a tenth of the time so far, or two minutes."""
     check = BoxProjector(fit_homography(CAMERA.control_points()), (1920, 1080)).traffic
     judged: list[float] = []
-    now_s = 0.0
-    monkeypatch.setattr(check, "judge", lambda: (check._remember(), judged.append(now_s)))
+    now_s, judge = 0.0, check.judge
+
+    def noted() -> object:
+        judged.append(now_s)
+        return judge()
+
+    monkeypatch.setattr(check, "judge", noted)
     monkeypatch.setattr("geoorbit_ros.calibration.plausibility.MAX_ROWS", 50)
     length_ns = CARS[-1][0] + 100_000_000
     for lap in range(90):
