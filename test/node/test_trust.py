@@ -17,10 +17,10 @@ from geoorbit_ros.core.state_file import StateFile
 from geoorbit_ros.nodes.federated_server import FederatedServerNode
 from geoorbit_ros.nodes.lane_geometry import LaneGeometryNode
 from geoorbit_ros.nodes.meta_client import MetaClientNode
-from geoorbit_ros.nodes.support import absent, byte_topic
-from geoorbit_ros.nodes.support.absent import AbsentNode, made_or_absent
+from geoorbit_ros.nodes.support import byte_topic, fleet_process
 from geoorbit_ros.nodes.support.composition import Composition
 from geoorbit_ros.nodes.support.diagnostics import StatusListener
+from geoorbit_ros.nodes.support.fleet_process import AbsentNode, made_or_absent
 from geoorbit_ros.nodes.support.qos import updates_qos
 
 
@@ -64,7 +64,7 @@ def test_a_client_that_can_not_start_is_told_and_its_camera_starts(
     nodes: Composition, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
-        absent.Node, "__init__", _in_context(absent.Node.__init__, nodes), raising=True
+        fleet_process.Node, "__init__", _in_context(fleet_process.Node.__init__, nodes)
     )
     given = {"key_file": str(tmp_path / "none.key")}
     node = made_or_absent(MetaClientNode, "north", given)

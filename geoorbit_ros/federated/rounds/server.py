@@ -17,12 +17,12 @@ from geoorbit_ros.federated.keys import Roster, Signer
 from geoorbit_ros.federated.payloads.client_update import ClientUpdate
 from geoorbit_ros.federated.payloads.global_model import ASYNCHRONOUS, FINAL, MASKED, VALIDATING
 from geoorbit_ros.federated.payloads.model_layout import ModelLayout, Tensors, Vector
-from geoorbit_ros.federated.privacy.differential import clipped, normal_noise
+from geoorbit_ros.federated.privacy.differential import clipped
 from geoorbit_ros.federated.privacy.masked_rounds import STAGE_S, MaskedRound
-from geoorbit_ros.federated.rounds.epoch import Epochs
+from geoorbit_ros.federated.rounds.closing import Closing
+from geoorbit_ros.federated.rounds.epoch import Epochs, Resumption
 from geoorbit_ros.federated.rounds.model_broadcast import ModelBroadcast
 from geoorbit_ros.federated.rounds.open_round import OpenRound, Outcome
-from geoorbit_ros.federated.rounds.resumption import Resumption
 from geoorbit_ros.federated.rounds.selection import make_selection
 from geoorbit_ros.federated.rounds.server_config import ServerConfig, check_settings
 from geoorbit_ros.federated.rounds.server_state import (
@@ -119,6 +119,7 @@ class FederatedServer:
             signer or Signer(None, config.federation),
             self._strategy.proximal_mu,
         )
+        self._closing = Closing(config, self._strategy, self._broadcast, bool(self._validating))
         counts = (len(m) for m in (self._members, self._training, self._validating))
         check_settings(config, self._strategy, *counts)
         self._epochs = epochs or Epochs(None)
@@ -130,7 +131,7 @@ class FederatedServer:
         )
         self.resumed = saved is not None
         self._state = saved or ServerState(self._epochs.next(config.run), first, first, answers)
-        self._next: tuple[ServerState, bool] | None = None
+        self._next: ServerState | None = None
         self.fault, self._retry_s = "", 0.0
         self.notes = list(self._epochs.told)
         if roster.unsigned:
@@ -372,13 +373,7 @@ class FederatedServer:
 
     def _close(self, outcome: Outcome, now_s: float) -> bytes | None:
         """Note the verdict and make the next model, then go on with it."""
-        state, over = self._state.successor(), self._state.trained
-        self._record(state, outcome, now_s)
-        if over:
-            state.finished = True
-        else:
-            self._advance(state, outcome)
-        self._next = state, over
+        self._next = self._closing.successor(self._state, outcome, now_s - self._opened_s)
         return self._go_on(now_s)
 
     def _go_on(self, now_s: float) -> bytes | None:
@@ -387,7 +382,7 @@ class FederatedServer:
         Where it can't be saved the server waits and tries again, and makes nothing anew.
         """
         assert self._next is not None
-        state, over = self._next
+        state, over = self._next, self._state.trained
         try:
             self._save(state)
         except InputFileError as error:
@@ -399,32 +394,6 @@ class FederatedServer:
         if over:
             return self._broadcast.again(state, self._flags)
         return self._broadcast.announce(state, chosen, self._flags)
-
-    def _record(self, state: ServerState, outcome: Outcome, now_s: float) -> None:
-        """Keep what came of the round; with fewer than two gains the last verdict stands."""
-        verdict = outcome.gains.verdict()
-        if verdict is not None:
-            state.approved = state.digests[state.round] if verdict.accepted else 0
-        record = RoundRecord.of(state.round, outcome, verdict, now_s - self._opened_s)
-        state.history.append(record)
-
-    def _advance(self, state: ServerState, outcome: Outcome) -> None:
-        """Make the next model."""
-        config, aggregate = self.config, outcome.aggregate
-        if config.noise_multiplier:
-            noise = normal_noise(state.secret, state.round, self.layout.size)
-            spread = config.noise_multiplier * config.clip_norm / outcome.training_clients
-            aggregate = aggregate + spread * noise
-        change = self._strategy.step(aggregate)
-        state.model = (state.model + change).astype(np.float32)
-        state.optimiser = {name: np.array(k) for name, k in self._strategy.state().items()}
-        state.strategy = type(self._strategy).__name__
-        state.round += 1
-        state.trained = state.round > config.rounds or outcome.loss <= config.target_loss
-        state.finished = state.trained and not self._validating
-        self._broadcast.advance(state)
-        oldest = state.round - config.max_staleness - 1
-        state.digests = {n: digest for n, digest in state.digests.items() if n >= oldest}
 
     def _save(self, state: ServerState) -> None:
         self._epochs.note(state.run)
