@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from probe import LIMIT_S, LOSSLESS, Probe
+from rclpy.node import Node
 from std_msgs.msg import ByteMultiArray
 
 from geoorbit_ros.conversions import decode_byte_array, encode_byte_array
@@ -17,7 +18,7 @@ from geoorbit_ros.core.state_file import StateFile
 from geoorbit_ros.nodes.federated_server import FederatedServerNode
 from geoorbit_ros.nodes.lane_geometry import LaneGeometryNode
 from geoorbit_ros.nodes.meta_client import MetaClientNode
-from geoorbit_ros.nodes.support import byte_topic, fleet_process
+from geoorbit_ros.nodes.support import byte_topic
 from geoorbit_ros.nodes.support.composition import Composition
 from geoorbit_ros.nodes.support.diagnostics import StatusListener
 from geoorbit_ros.nodes.support.fleet_process import AbsentNode, made_or_absent
@@ -63,9 +64,7 @@ def test_a_full_disk_ends_no_node_and_a_mistake_ends_one_that_sees(nodes: Compos
 def test_a_client_that_can_not_start_is_told_and_its_camera_starts(
     nodes: Composition, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(
-        fleet_process.Node, "__init__", _in_context(fleet_process.Node.__init__, nodes)
-    )
+    monkeypatch.setattr(Node, "__init__", _in_context(Node.__init__, nodes))
     given = {"key_file": str(tmp_path / "none.key")}
     node = made_or_absent(MetaClientNode, "north", given)
     assert isinstance(node, AbsentNode)
