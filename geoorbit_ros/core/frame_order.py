@@ -163,6 +163,7 @@ def capture_times(
             f"{absent.sum()} of {len(times)} messages have no time of capture; received times count"
         )
         report.note(Treatment.REPAIRED, text, f"message {np.argmax(absent) + 1}")
+    times = _without_odd(times, received_ns, report)
     run = _runs(times)
     if run[-1] > CONTRADICTION_SHARE * len(run):
         text = "stamps and times of receipt contradict each other; times of receipt count"
@@ -173,6 +174,22 @@ def capture_times(
         text = f"{late.sum()} of {len(times)} messages came after others of a later time; sorted"
         report.note(Treatment.REPAIRED, text, f"message {np.argmax(late) + 2}")
     return _one_after_the_other(times, run, received_ns, report), run
+
+
+def _without_odd(times: Stamps, received_ns: Stamps, report: InputReport) -> Stamps:
+    """Times in which one far from both its neighbours, which lie together, is repaired."""
+    before, here, after = times[:-2], times[1:-1], times[2:]
+    near = np.abs(after - before) <= LEAP_NS
+    odd = 1 + np.flatnonzero(
+        near & (np.abs(here - before) > LEAP_NS) & (np.abs(here - after) > LEAP_NS)
+    )
+    if not len(odd):
+        return times
+    text = f"{len(odd)} of {len(times)} messages have a time far from those around them; repaired"
+    report.note(Treatment.REPAIRED, text, f"message {odd[0] + 1}")
+    times = times.copy()
+    times[odd] = times[odd - 1] + np.maximum(received_ns[odd] - received_ns[odd - 1], 1)
+    return times
 
 
 def _one_after_the_other(

@@ -3,7 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from geoorbit_ros.core.frame_order import LEAP_NS, Arrival, FrameOrder
+from geoorbit_ros.core.frame_order import LEAP_NS, Arrival, FrameOrder, capture_times
+from geoorbit_ros.core.input_report import InputReport
 
 FRAME_NS = 33_333_333
 
@@ -94,3 +95,14 @@ def test_a_restart_is_no_gap() -> None:
     assert order.missing == 0
     assert [stamp for arrival, stamp in arrivals if arrival is Arrival.RESTART] == [0]
     assert [stamp for _, stamp in arrivals] == stamps + stamps
+
+
+@pytest.mark.parametrize("wrong", [2_100_000_000 * 10**9, 5])
+def test_one_wrong_stamp_of_a_recording_moves_no_other(wrong: int) -> None:
+    stamps = 10**18 + np.arange(100, dtype=np.int64) * FRAME_NS
+    given, report = stamps.copy(), InputReport("a.mcap", "messages", 100)
+    given[40] = wrong
+    times, run = capture_times(given, stamps + 10**7, report)
+    assert times.tolist() == stamps.tolist()
+    assert not run.any()
+    assert "1 of 100 messages have a time far from those around them" in str(report.remarks)
