@@ -59,7 +59,12 @@ def send_frames(publisher: object, start_ns: int, count: int) -> None:
 def stamps_of_the_future(folder: Path) -> Finding:
     """Rows 1 and 2: two cameras in one file, one gets two frames of the future, then restarts."""
     path, now_ns = folder / "t.db", time.time_ns()
-    given = {"database": path, "retention_days": 30.0, "reliability": "reliable"}
+    given = {
+        "database": path,
+        "retention_days": 30.0,
+        "reliability": "reliable",
+        "queue_depth": 0,
+    }
     good = 0
     with victims() as make:
         attacker = Attacker()
@@ -75,6 +80,7 @@ def stamps_of_the_future(folder: Path) -> Finding:
         send_frames(north, now_ns + 300 * 33_000_000, 150)
         wait(lambda: stored(path).get("north", 0) >= 450, attacker, 8.0)
         recorders[0].end()
+        wait(lambda: north.get_subscription_count() == 0, attacker)
         make("recorder", folder, "/north", **given)
         north = attacker.publisher(PointCloud2, "/north/tracks", STREAM)
         send_frames(north, now_ns + 450 * 33_000_000, 150)
