@@ -22,6 +22,10 @@ HALF_LIFE_S = 1800.0
 shorter forgets them before they are known at night, longer lags behind the rush hour."""
 LEAST_VEHICLES = 10.0
 """So many vehicles in a lane are needed to know its share. Chosen: 1-sigma is a third of it."""
+IN_LANE = 0.7
+"""Share of half the lane's width within which a vehicle must be to use it. Chosen: on the line
+there is no lane; one in fifty of a full lane is placed on it, which looks like traffic in an empty
+one beside it."""
 UNUSED_SHARE = 0.1
 """A lane with a tenth of its usual share is unused: the few are errors of the lane. Chosen: more
 takes a lane for unused that has become less popular, less is ended by two wrong places."""
@@ -155,6 +159,8 @@ class LaneFlow:
         """The lane whose station a vehicle crossed since its moment before."""
         moment = track.last
         if moment.lane < 0 or moment.way != 1 or moment.sigma > SHARP_M or len(track.recent) < 2:
+            return None
+        if abs(moment.offset) > IN_LANE * moment.half_width:
             return None
         beyond = moment.arc - float(self._line[moment.lane])
         before = track.recent[-2]
