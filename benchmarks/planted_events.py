@@ -14,7 +14,7 @@ from geoorbit_ros.calibration.box_projector import BoxProjector
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.polylines import project
-from geoorbit_ros.core.tables import TRACK_DTYPE, Frames
+from geoorbit_ros.core.tables import Frames
 from geoorbit_ros.scenes.roads import PlacedRoad, place_roads
 from geoorbit_ros.scenes.scene import Scene
 from geoorbit_ros.scenes.simulate import START_NS, SceneRun, scene_camera, simulate
@@ -57,12 +57,7 @@ class Planted:
 def ground_tracks(run: SceneRun) -> Frames:
     """The run's boxes on the road, by a calibration with the surveyor's errors."""
     projector = BoxProjector(fit_homography(run.control_points), run.image_size)
-    tables = [
-        projector.project(stamp_ns, run.frames.frame(k))
-        for k, stamp_ns in enumerate(run.frames.stamp_ns.tolist())
-    ]
-    offset = np.append(0, np.cumsum([len(table) for table in tables])).astype(np.int64)
-    return Frames(run.frames.stamp_ns, offset, np.concatenate(tables).astype(TRACK_DTYPE))
+    return projector.project_block(run.frames)
 
 
 def at_rate(scene: Scene, fps: float) -> Scene:
@@ -263,8 +258,8 @@ STAY_AWAY = 80
 """And if so many stay away then, by its share before, while as many drive beside it. Who sees every
 vehicle needs 52 to be sure to what chance does once in ten years (`lane_flow.BY_CHANCE_S`)."""
 FLOWS = 0.7
-"""The lanes beside carry at least this share of their flow before: who used the closed lane anywhere
-is taken out of the traffic, and where that were most of it, a road would be closed and no lane."""
+"""The lanes beside carry at least this share of their flow before. Who used the closed lane is
+taken out of the traffic; where that were most of it, a road would be closed and no lane."""
 OPEN_S, CLOSED_S = 240.0, 840.0
 
 
