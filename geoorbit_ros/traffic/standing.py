@@ -66,6 +66,8 @@ LEFT_TICKS = 20
 """Ten seconds, if its track was seen to go on. Chosen: ids of who passes are exchanged with it."""
 USUAL_PLACE_M = 12.0
 """Waits this near to each other are at the same place. Chosen: the first two of a queue."""
+Placed = Callable[[float, float], Moment]
+"""Gives the moment, in the lanes of now, of something at a place."""
 
 
 @dataclass(slots=True)
@@ -129,7 +131,7 @@ class StandingWatch:
         self._stands: list[Stand] = []
         self._waits: dict[int, list[tuple[float, int]]] = {}
 
-    def use_lanes(self, lanes: Sequence[Lane], placed: Callable[[float, float], Moment]) -> None:
+    def use_lanes(self, lanes: Sequence[Lane], placed: Placed) -> None:
         """Look on these lanes from now on.
 
         Args:
@@ -144,8 +146,14 @@ class StandingWatch:
             stand.lane, stand.arc, stand.offset = at.lane, at.arc, at.offset
             stand.half_width, stand.heading = at.half_width, at.heading
 
-    def take(self, stamp_ns: int, watched: WatchedTracks) -> None:
-        """Take the tracks of a half second."""
+    def take(self, stamp_ns: int, watched: WatchedTracks, placed: Placed) -> None:
+        """Take the tracks of a half second.
+
+        Args:
+            stamp_ns: Its time.
+            watched: The tracks.
+            placed: See `use_lanes`.
+        """
         held = {id(stand.holder): stand for stand in self._stands if stand.holder is not None}
         for stand in self._stands:
             stand.unseen += 1
@@ -157,7 +165,7 @@ class StandingWatch:
             elif stand_of is not None:
                 self._see(stand_of, track)
             elif track.last.lane >= 0:
-                self._note(track)
+                self._note(track, placed)
         self._forget(stamp_ns)
         if self._stands:
             self._passes(watched)
@@ -171,7 +179,7 @@ class StandingWatch:
         stand.drove_off = False
         stand.came = stand.came or track.is_vehicle
 
-    def _note(self, track: WatchedTrack) -> None:
+    def _note(self, track: WatchedTrack, placed: Placed) -> None:
         """A track that stands is on something that is known, or on something new."""
         x, y = track.anchor
         for stand in self._stands:
@@ -180,9 +188,9 @@ class StandingWatch:
                     stand.holder = track
                     self._see(stand, track)
                 return
-        at = track.last
+        at = placed(x, y)  # its id may just have gone over to who passes
         stand = Stand(
-            at.track_id,
+            track.last.track_id,
             x,
             y,
             at.lane,
@@ -191,7 +199,7 @@ class StandingWatch:
             at.half_width,
             at.heading,
             track.since_ns,
-            at.stamp_ns,
+            track.last.stamp_ns,
             track.driven_m,
             track.is_vehicle,
             track.from_start,

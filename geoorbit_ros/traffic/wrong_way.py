@@ -105,7 +105,7 @@ class WrongWayWatch:
     def _go_on(self, way: _Way, at: Moment) -> None:
         """Who was hidden goes on under another id where it would have come to by its speed."""
         for other in self._ways.values():
-            if other is way or other.event is not None or not other.run:
+            if other is way or not other.run:
                 continue
             last = other.run[-1]
             since_s = (at.stamp_ns - last.stamp_ns) * 1e-9
@@ -115,7 +115,7 @@ class WrongWayWatch:
             along, left = along_and_left(last.x, last.y, atan2(last.vy, last.vx), at)
             if abs(left) <= LINK_ACROSS_M and abs(along - way_m) <= LINK_M:
                 way.run, way.with_m, way.with_heading = other.run, other.with_m, other.with_heading
-                other.run = []
+                way.event, other.event, other.run = other.event, None, []
                 return
 
     def _moment(self, stamp_ns: int, way: _Way, track: WatchedTrack) -> None:
