@@ -190,6 +190,11 @@ def true_queue(run: SceneRun, lane: Lane) -> tuple[dict[float, float], float]:
     return tails, int(frames.max(initial=0)) / run.scene.camera.fps
 
 
+RIGHT_WAY = 5
+"""So many vehicles drove in the lane, or beside it, before one drives backwards: from fewer nobody
+knows which way a lane leads (`wrong_way.WITH_VEHICLES`)."""
+
+
 def wrong_way(scene: Scene, seed: int) -> Planted:
     """A vehicle drives the path of another one backwards."""
     random = np.random.default_rng([seed, 23])
@@ -197,8 +202,11 @@ def wrong_way(scene: Scene, seed: int) -> Planted:
     duration_s = 150.0
     record = simulate_traffic(scene, placed, duration_s, seed)
     candidates = long_enough(lanes)
+    early = (record.step >= 0) & (record.step < 900)
     for k in random.permutation(candidates).tolist():
         lane = lanes[k].lane
+        if sum(_passing(record, lanes, k, early)) < RIGHT_WAY:
+            continue
         at = project(record.xy, lane.centerline_m)
         inside = at.inside & (np.abs(at.offset_m) < 1.0)
         inside &= (record.step > 900) & (record.step < 1400)
@@ -304,7 +312,7 @@ def _passing(
         return vehicle[at.inside & (np.abs(at.offset_m) < 0.5 * lanes[j].lane.width_m)]
 
     own = np.unique(within(k))
-    beside = np.unique(np.concatenate([within(j) for j in _beside(lanes, k)]))
+    beside = np.unique(np.concatenate([own[:0], *(within(j) for j in _beside(lanes, k))]))
     return len(own), len(np.setdiff1d(beside, own))
 
 
