@@ -8,7 +8,6 @@ other.
 from __future__ import annotations
 
 import io
-import mmap
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -191,13 +190,15 @@ def _types(path: Path) -> tuple[dict[str, pa.DataType], list[str]]:
 
 def _check_hexadecimal(path: Path) -> None:
     """Arrow reads `0x10` as 16 in columns of whole numbers; for `csv_text` it is no number."""
-    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-        for letter in (b"x", b"X"):  # a letter is found ten times as fast as two
-            at = content.find(letter)
-            while at >= 0:
-                if content[at - 1 : at] == b"0":
+    last = b""
+    with path.open("rb", buffering=0) as file:
+        while piece := file.read(PIECE_BYTES):
+            # One letter is found ten times as fast as two.
+            if b"x" in piece or b"X" in piece:
+                text = (last + piece).lower()
+                if b"0x" in text:
                     raise _OddError
-                at = content.find(letter, at + 1)
+            last = piece[-1:]
 
 
 def _boxes(
