@@ -89,9 +89,11 @@ class WrongWayWatch:
         """Take the tracks of a half second."""
         for track in tracks:
             at = track.last
-            if at.way == 0 and at.track_id not in self._ways:
-                continue
-            way = self._ways.setdefault(at.track_id, _Way([]))
+            way = self._ways.get(at.track_id)
+            if way is None:
+                if at.way == 0:
+                    continue
+                way = self._ways[at.track_id] = _Way([])
             if way.last_ns and at.stamp_ns - way.last_ns > FORGET_NS:
                 self._over(stamp_ns, way)
                 self._ways[at.track_id] = way = _Way([])
