@@ -309,7 +309,9 @@ def _passing(
 
     def within(j: int) -> NDArray[np.int64]:
         at = project(place, lanes[j].lane.centerline_m)
-        return vehicle[at.inside & (np.abs(at.offset_m) < 0.5 * lanes[j].lane.width_m)]
+        return np.asarray(
+            vehicle[at.inside & (np.abs(at.offset_m) < 0.5 * lanes[j].lane.width_m)], dtype=np.int64
+        )
 
     own = np.unique(within(k))
     beside = np.unique(np.concatenate([own[:0], *(within(j) for j in _beside(lanes, k))]))
