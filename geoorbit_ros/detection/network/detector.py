@@ -55,7 +55,7 @@ class NetworkDetector:
 
     Args:
         min_score: Boxes that score less are dropped.
-        threads: Threads of one run; 0 leaves it to onnxruntime.
+        threads: Threads of one run; from settings that leave it open, one.
 
     Attributes:
         relearned: How often the road was learnt anew, because the camera or the light changed.
