@@ -58,6 +58,7 @@ class Place:
     settled: bool = False
     _best: int = 0
     _turn: int = 0
+    _looks: int = 0
     _begin_ns: int | None = None
     _kept_ns: int = 0
     _renewed_ns: int = 0
@@ -84,7 +85,9 @@ class Place:
             shaking: Whether the camera shakes.
         """
         best = self.references[self._best]
-        match = follow(best, picture, self.motion, shaking=shaking)
+        self._looks += 1
+        turn = None if self._keeps(stamp_ns) else self._looks
+        match = follow(best, picture, self.motion, turn=turn, shaking=shaking)
         if (match is None or match.share < FEW_SHARE) and len(self.references) > 1:
             match = self._other_reference(picture, match)
         if match is None and search:
@@ -117,10 +120,9 @@ class Place:
 
     def _learn(self, stamp_ns: int, picture: Grey, match: Match) -> None:
         """Keep pictures for a new reference, and make one when the old ones show too little."""
-        spacing_s = SPACING_S if self.settled else FIRST_SPACING_S
         if not self.settled:
             self._middles.append(self.motion[:2, 2])
-        if 0 <= stamp_ns - self._kept_ns < spacing_s * 1e9:
+        if not self._keeps(stamp_ns):
             return
         if match.sigma_px > SURE_SIGMA_PX or match.share < LEAST_SHARE:
             return
@@ -138,6 +140,11 @@ class Place:
         if full and due and float(np.mean(self._shares)) < FEW_SHARE:
             self._renewed_ns = stamp_ns
             self._add(Reference(_median([warped_back(p, m) for p, m in self._kept])))
+
+    def _keeps(self, stamp_ns: int) -> bool:
+        """Whether the picture of this time is kept, if it is surely of this view."""
+        spacing_s = SPACING_S if self.settled else FIRST_SPACING_S
+        return not 0 <= stamp_ns - self._kept_ns < spacing_s * 1e9
 
     def _keep(self, stamp_ns: int, picture: Grey) -> None:
         self._kept.append((picture, self.motion))
