@@ -25,6 +25,7 @@ from geoorbit_ros.core.lanes import (
     Marking,
     MarkingColour,
     Status,
+    ViewNote,
 )
 from geoorbit_ros.core.polylines import offset_line, project
 from geoorbit_ros.lanes.geojson_tidying import Tidying, is_number
@@ -205,7 +206,9 @@ def map_of(collection: Collection, datum: Datum, lanes: tuple[Lane, ...]) -> Lan
             visible = datum.to_local(ring[:-1, 1], ring[:-1, 0])
         doubtful = about.get("doubtful") is True
         stamp_ns = int(about.get("stamp_ns", 0))
-        return LaneMap(stamp_ns, lanes, sections, visible, doubtful=doubtful)
+        view = about.get("view")
+        note = view and ViewNote(view["held"] is True, int(view["since_ns"]), str(view["why"]))
+        return LaneMap(stamp_ns, lanes, sections, visible, doubtful=doubtful, view=note or None)
     except (TypeError, KeyError, ValueError, IndexError) as error:
         place = f"{collection.path}, 'geoorbit'"
         raise InputFileError(place, error, "the members docs/formats.md lists") from error

@@ -39,6 +39,7 @@ from geoorbit_ros.report.text import (
     score_sentences,
     summary_sentence,
     tentative_sentences,
+    view_sentences,
 )
 from geoorbit_ros.report.traffic.content import TrafficContent
 from geoorbit_ros.report.traffic.page import traffic_sections
@@ -89,12 +90,12 @@ def report_html(content: ReportInput) -> str:
     """The page as text."""
     lanes = content.lane_map.lanes
     title = f"Lanes of {content.camera_id}"
-    tentative = tentative_sentences(content.lane_map)
+    told = [*view_sentences(content.lane_map), *tentative_sentences(content.lane_map)]
     parts = [
         f"<header><p class='kicker'>Lane report</p><h1>{escape(title)}</h1>"
         f"<p class='lead'>{escape(summary_sentence(lanes))}</p>{_tiles(content)}</header>",
         remarks_section(content.remarks),
-        section("Lanes", lane_table(lanes) + bullets(tentative) + LANE_NOTE + _boundaries(lanes)),
+        section("Lanes", lane_table(lanes) + bullets(told) + LANE_NOTE + _boundaries(lanes)),
         _drawings(content),
         _histograms(content),
     ]

@@ -51,6 +51,16 @@ def missing_sentence(lane: Lane) -> str:
     return f"{seen}: about {more} will confirm it."
 
 
+def view_sentences(lane_map: LaneMap) -> list[str]:
+    """What is to be known of the camera's view: lanes that are held, and since when."""
+    view = lane_map.view
+    if view is None:
+        return []
+    if view.held:
+        return [f"The lanes are held, those of an earlier time: {view.why}."]
+    return [f"The lanes are live; boxes are put back to the view that was calibrated: {view.why}."]
+
+
 def tentative_sentences(lane_map: LaneMap) -> list[str]:
     """Why lanes are not confirmed, and what they still need."""
     if lane_map.doubtful:

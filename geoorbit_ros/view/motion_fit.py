@@ -26,6 +26,10 @@ LEAST_SHARE = 0.15
 LEAST_CELLS = 5
 """Nor where the inliers lie in fewer of 4 x 3 cells of the picture. Chosen: a sign, or the words
 in the corners of the image, fill four."""
+MARGIN, LEAST_BETWEEN = 0.15, 5
+"""Share of the height at the top and at the bottom in which names, clocks and banners stand, and
+the least number of inliers between. Chosen: in fog they are most of what the image shows, and the
+same in each view."""
 PERSPECTIVE_GAIN = 0.8
 """Perspective is taken where it makes the errors this much smaller, or more points fit. Chosen:
 larger bends the picture by noise, smaller leaves the corners of a turned camera apart."""
@@ -84,6 +88,9 @@ def fit_motion(
     if count < LEAST_INLIERS or share < LEAST_SHARE or not _plausible(matrix, shape):
         return None
     if not (_spread(then[inlier], shape) and _spread(now[inlier], shape)):
+        return None
+    height = then[inlier, 1] / shape[0]
+    if np.count_nonzero(np.abs(height - 0.5) < 0.5 - MARGIN) < LEAST_BETWEEN:
         return None
     error = moved(matrix, then[inlier]) - now[inlier]
     square = float((error**2).sum()) / max(2 * count - parameters, 1)

@@ -63,7 +63,8 @@ class Swing:
         among = self.covariance(time_s[:, None] - time_s) + self.noise * np.eye(len(time_s))
         to_now = self.covariance(time_s)
         weight = np.linalg.solve(among, to_now)
-        return weight, self.variance * max(MIDDLE + 1.0 - float(to_now @ weight), 0.0)
+        left = max(MIDDLE + 1.0 - float(to_now @ weight), 0.0)
+        return np.asarray(weight, np.float64), self.variance * left
 
 
 def find_swing(time_s: Array, place: Array, sigma: float) -> Swing | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -130,6 +131,7 @@ class ViewWatch:
             self._last = self._blind(stamp_ns, self._blindness)
         else:
             self._last = self._held_against(stamp_ns, picture, reduction(size[0]))
+        self._last = replace(self._last, size=size)
         return self._last
 
     def _first(self, stamp_ns: int, picture: Grey) -> ViewLook:

@@ -197,7 +197,7 @@ def test_looks_travel_as_tables() -> None:
 
 
 def test_a_bump_is_one_sentence_with_its_time_and_size() -> None:
-    timeline = ViewTimeline(SIZE)
+    timeline = ViewTimeline()
     for k in range(10):
         timeline.add(look(k))
     for k in range(10, 20):
