@@ -36,6 +36,7 @@ from geoorbit_ros.core.tables import (
     one_frame,
 )
 from geoorbit_ros.detection.detector import doubt_of
+from geoorbit_ros.lanes.common_shift import with_shift_sigma
 from geoorbit_ros.lanes.confidence import unconfirmed
 from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.lanes.geojson import write_lanes
@@ -314,7 +315,8 @@ class CameraJob:
             )
         if doubt_of(self.detection.detector):
             self.lane_map = unconfirmed(self.lane_map)
-        self.lane_map = replace(self.lane_map, view=self.run.views.note(self._time_text))
+        view = self.run.views.note(self._time_text)
+        self.lane_map = replace(with_shift_sigma(self.lane_map, self.homography), view=view)
         self.run.settle_classes()
         check_images(images, self.detection.left_out, len(self.run.seen))
 

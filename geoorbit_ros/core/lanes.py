@@ -77,6 +77,9 @@ class Lane:
         right_edge: The same of the right one.
         driven_offset_m: How far left of the middle between two painted lines the median driver is;
             NaN where not both are seen.
+        shift_sigma_m: 1-sigma by which the centreline, the left and the right boundary lie aside as
+            a whole, by errors of the calibration that no traffic averages; NaN where the producer
+            doesn't say.
     """
 
     lane_id: int
@@ -94,6 +97,7 @@ class Lane:
     left_edge: LaneEdge | None = None
     right_edge: LaneEdge | None = None
     driven_offset_m: float = float("nan")
+    shift_sigma_m: tuple[float, float, float] = (float("nan"),) * 3
 
     @property
     def middle(self) -> tuple[float, float, float]:

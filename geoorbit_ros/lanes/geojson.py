@@ -198,8 +198,10 @@ def _lane_features(
         properties["held"] = True
     lines = {"centerline": lane.centerline_m, "left": lane.left_m, "right": lane.right_m}
     edges = {"left": lane.left_edge, "right": lane.right_edge}
-    for role, line_m in lines.items():
+    for (role, line_m), shift_m in zip(lines.items(), lane.shift_sigma_m, strict=True):
         own = _edge_properties(edges.get(role))
+        if np.isfinite(shift_m):
+            own = {"shift_sigma_m": _rounded(shift_m, 3)} | own
         yield {
             "type": "Feature",
             "id": f"lane-{lane.lane_id}-{role}",

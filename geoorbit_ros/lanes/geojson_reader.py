@@ -250,6 +250,10 @@ def _lane(collection: Collection, lane_id: int, roles: dict[str, Line], datum: D
         collection.report.add(Treatment.REPAIRED, 2, text, f"lane {lane_id}")
     if not np.isfinite(width) and both:
         width = float(np.mean(np.hypot(*(sides[0] - sides[1]).T)))
+    shifts = {
+        role: _number(roles[role].properties if role in roles else {}, "shift_sigma_m", np.nan)
+        for role in ROLES
+    }
     status: Status = given.get("status", "confirmed")
     return Lane(
         lane_id=lane_id,
@@ -266,6 +270,7 @@ def _lane(collection: Collection, lane_id: int, roles: dict[str, Line], datum: D
         left_edge=edges[0],
         right_edge=edges[1],
         driven_offset_m=_number(given, "driven_offset_m", float("nan")),
+        shift_sigma_m=(shifts["centerline"], shifts["left"], shifts["right"]),
     )
 
 

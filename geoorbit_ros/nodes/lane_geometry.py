@@ -19,6 +19,7 @@ from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.core.tables import TRACK_DTYPE
 from geoorbit_ros.federated.keys import Verifier, public_key
 from geoorbit_ros.federated.payloads.lane_parameters import ThetaInbox
+from geoorbit_ros.lanes.common_shift import with_shift_sigma
 from geoorbit_ros.lanes.mapping.live_mapper import LiveMapper
 from geoorbit_ros.lanes.parameters import LaneParameters
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
@@ -150,7 +151,10 @@ class LaneGeometryNode(GeoOrbitNode[LaneGeometryParameters]):
         self._latest = lane_map
         lane_map = replace(lane_map, view=self._view.note)
         refined = lane_map if self._prior is None else self._prior.refine(lane_map)
-        self._lanes.publish(self.paint.follow(refined, anew=anew), self.datum)
+        bounded = self.paint.follow(refined, anew=anew)
+        if self.paint.plane is not None:
+            bounded = with_shift_sigma(bounded, self.paint.plane)
+        self._lanes.publish(bounded, self.datum)
         self.diagnostics.published += 1
         self.lane_maps += 1
 

@@ -37,6 +37,7 @@ from geoorbit_ros.report.text import (
     count,
     number,
     score_sentences,
+    shift_sentences,
     summary_sentence,
     tentative_sentences,
     view_sentences,
@@ -90,7 +91,11 @@ def report_html(content: ReportInput) -> str:
     """The page as text."""
     lanes = content.lane_map.lanes
     title = f"Lanes of {content.camera_id}"
-    told = [*view_sentences(content.lane_map), *tentative_sentences(content.lane_map)]
+    told = [
+        sentence
+        for sentences in (view_sentences, shift_sentences, tentative_sentences)
+        for sentence in sentences(content.lane_map)
+    ]
     parts = [
         f"<header><p class='kicker'>Lane report</p><h1>{escape(title)}</h1>"
         f"<p class='lead'>{escape(summary_sentence(lanes))}</p>{_tiles(content)}</header>",

@@ -61,6 +61,20 @@ def view_sentences(lane_map: LaneMap) -> list[str]:
     return [f"The lanes are live; boxes are put back to the view that was calibrated: {view.why}."]
 
 
+def shift_sentences(lane_map: LaneMap) -> list[str]:
+    """By how much lanes lie aside together, by the calibration."""
+    shifts = [lane.shift_sigma_m[0] for lane in lane_map.lanes]
+    known = [shift for shift in shifts if math.isfinite(shift)]
+    if not known:
+        return []
+    low, high = (number(value) for value in (min(known), max(known)))
+    by = low if low == high else f"{low} to {high}"
+    return [
+        f"Each lane may lie aside as a whole by {by} m (1σ), by the errors of the calibration, "
+        "however many vehicles were seen."
+    ]
+
+
 def tentative_sentences(lane_map: LaneMap) -> list[str]:
     """Why lanes are not confirmed, and what they still need."""
     if lane_map.doubtful:

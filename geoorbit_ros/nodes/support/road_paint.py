@@ -120,6 +120,11 @@ class PaintListener:
         node.create_subscription(CompressedImage, TOPIC, self._on_image, LATCHED, raw=True)
 
     @property
+    def plane(self) -> RoadPlane | None:
+        """The camera's road plane, once it has come."""
+        return None if self._plane is None else self._plane[0]
+
+    @property
     def sentence(self) -> str:
         """What came of the last map, or what is missing."""
         if self._image is None:
