@@ -44,7 +44,8 @@ def project_beside(
             ground.announce(stamps, counts)
             rows = ground.rows(begin, ground.row_count)
             block = with_doubts(Frames(stamps, np.append(0, np.cumsum(counts)), rows), doubtful)
-            if doubtful.any():
+            block = projector.with_bends(block)
+            if doubtful.any() or projector.bent:
                 ground.put(begin, block.rows)
             yield block
 

@@ -1,4 +1,4 @@
-"""A line's error by the calibration is as large as it is said to be, and no traffic makes it less."""
+"""A line's error by the calibration is as large as it is said to be."""
 
 from dataclasses import replace
 
@@ -35,7 +35,7 @@ def true_points() -> ControlPoints:
 def line_on(plane: RoadPlane) -> Array:
     """A boundary that the camera sees, a hundred metres along the road."""
     ends = plane.to_ground([[500.0, 900.0], [900.0, 420.0]])
-    return np.linspace(*ends, 30)
+    return np.asarray(np.linspace(ends[0], ends[1], 30))
 
 
 def test_boundaries_lie_within_the_shift_that_is_said_two_times_out_of_three(
@@ -72,7 +72,7 @@ def test_an_exact_calibration_shifts_nothing_and_a_scale_shifts_what_is_far_asid
 def test_the_shift_travels_with_the_lanes(true_points: ControlPoints) -> None:
     plane = fit_homography(true_points)
     line = line_on(plane)
-    beside = line + [0.0, 3.5]
+    beside = line + np.array([0.0, 3.5])
     lane_map = LaneMap(1, (lane_of_map(1, line, beside, line),))
     told = with_shift_sigma(lane_map, plane)
     assert plane.datum is not None
