@@ -127,8 +127,11 @@ class ViewWatch:
         if self._looked_ns is not None and stamp_ns <= self._looked_ns:
             self._restart()
         self._looked_ns, self._turn = stamp_ns, (self._turn + 1) % len(PERIODS_S)
-        if self._blindness is not Blindness.NONE:
-            self._last = self._blind(stamp_ns, self._blindness)
+        blindness = self._blindness
+        if self._repeats is not None and blindness is Blindness.NONE:
+            blindness = self._repeats.look(stamp_ns, picture)
+        if blindness is not Blindness.NONE:
+            self._last = self._blind(stamp_ns, blindness)
         else:
             self._last = self._held_against(stamp_ns, picture, reduction(size[0]))
         self._last = replace(self._last, size=size)
