@@ -36,7 +36,8 @@ from numpy.typing import NDArray
 from geoorbit_ros.calibration.box_projector import BoxProjector
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.calibration.plane import Homography
-from geoorbit_ros.cli.inputs import load_camera, make_mapper
+from geoorbit_ros.cli.camera_input import load_camera
+from geoorbit_ros.cli.inputs import make_mapper
 from geoorbit_ros.core.input_report import InputReport
 from geoorbit_ros.core.lanes import Lane, LaneEdge, LaneMap
 from geoorbit_ros.core.polylines import project

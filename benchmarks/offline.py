@@ -28,14 +28,13 @@ from geoorbit_ros.core.frame_spool import FrameSpool
 from geoorbit_ros.core.tables import (
     FLAG_GROUND_POINT,
     PIXEL_TRACK_DTYPE,
-    TRACK_DTYPE,
     Frames,
     frames_from_rows,
 )
 from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.lanes.mapping.mapper import LaneMapper
 from geoorbit_ros.lanes.pipeline import BLOCK_ROWS, map_blocks, map_lanes, project_blocks
-from geoorbit_ros.lanes.projection_helper import project_beside
+from geoorbit_ros.lanes.projection_helper import ProjectionHelper
 from geoorbit_ros.scenes.scene import load_scene
 from geoorbit_ros.scenes.simulate import simulate
 from geoorbit_ros.storage.track_csv import read_track_csv
@@ -143,9 +142,10 @@ def laps(frames: Frames, rows: int) -> Iterator[Frames]:
 def long_run(camera: Camera, share: float) -> None:
     """A share of a day, as `geoorbit traffic` takes a long recording."""
     blocks = laps(camera.frames, round(share * DAY_ROWS))
-    boxes, ground = FrameSpool.of(blocks, PIXEL_TRACK_DTYPE), FrameSpool(TRACK_DTYPE)
+    boxes = FrameSpool.of(blocks, PIXEL_TRACK_DTYPE)
     mapper, times = LaneMapper(make_estimator("curvilinear")), [_times()]
-    lanes = map_blocks(project_beside(boxes, camera.projector(), ground), mapper).lanes
+    helper = ProjectionHelper(boxes, camera.projector())
+    lanes, ground = map_blocks(helper.blocks(), mapper).lanes, helper.ground
     times.append(_times())
     counter = TrafficCounter(lanes, camera.homography)
     recorded = record(counter, ground.blocks(BLOCK_ROWS), GAP_S, beside=ground)

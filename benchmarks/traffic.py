@@ -40,7 +40,8 @@ from rich.table import Table
 from geoorbit_ros.calibration.box_projector import BoxProjector
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.calibration.plane import RoadPlane
-from geoorbit_ros.cli.inputs import load_camera, make_mapper
+from geoorbit_ros.cli.camera_input import load_camera
+from geoorbit_ros.cli.inputs import make_mapper
 from geoorbit_ros.cli.main import main as geoorbit
 from geoorbit_ros.core.lane_order import lane_ids_at
 from geoorbit_ros.core.lanes import Lane, LaneMap

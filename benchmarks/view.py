@@ -44,8 +44,9 @@ from rich.table import Table
 from geoorbit_ros.calibration.box_projector import BoxProjector
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.calibration.plane import Homography
+from geoorbit_ros.cli.camera_input import load_camera
 from geoorbit_ros.cli.console import console
-from geoorbit_ros.cli.inputs import load_camera, make_mapper
+from geoorbit_ros.cli.inputs import make_mapper
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.lanes.pipeline import map_lanes
 from geoorbit_ros.metrics.score import score_lanes

@@ -13,7 +13,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from geoorbit_ros.cli.inputs import CameraInput, load_camera
+from geoorbit_ros.cli.camera_input import CameraInput, load_camera
 from geoorbit_ros.lanes.estimators.curvilinear.evidence import MAX_SEGMENTS
 from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.lanes.mapping.live_mapper import LaneMemory

@@ -98,6 +98,7 @@ def road_stretches(
     if known.sum() < LEAST_STRETCHES:
         return []
     table, middle = table[:, known], middle[known]
+    table = table[np.isfinite(table).sum(axis=1) >= 2]
     bend = _bends(table, middle)
     rng = np.random.default_rng(0)
     drawn = [_bends(table[rng.integers(0, len(table), len(table))], middle) for _ in range(DRAWS)]
@@ -124,10 +125,9 @@ def _bends(table: Array, middle: Array) -> Array:
     Without a common level and an even growth with the distance.
     """
     column = np.zeros(table.shape[1])
-    with np.errstate(invalid="ignore"):
-        for _ in range(SWEEPS):
-            row = np.nanmedian(table - column, axis=1, keepdims=True)
-            column = np.nanmedian(table - row, axis=0)
+    for _ in range(SWEEPS):
+        row = np.nanmedian(table - column, axis=1, keepdims=True)
+        column = np.nanmedian(table - row, axis=0)
     count = np.sqrt(np.isfinite(table).sum(axis=0))
     design = np.column_stack([np.ones(len(middle)), middle])
     answer = np.linalg.lstsq(design * count[:, None], column * count, rcond=None)[0]

@@ -50,6 +50,11 @@ JUDGED_AGAIN = 0.5
 costs time."""
 JUDGE_S = 2.0
 """Data time between two judgements at least; lanes are derived every five seconds."""
+JUDGED_LATER = 0.1
+"""Traffic is judged again after this share of the data time so far: inputs that don't belong to
+each other don't from the beginning. Chosen: larger says it later, smaller costs time."""
+LONGEST_JUDGE_S = 120.0
+"""But traffic that is enough is judged so often at least. Chosen: as the share."""
 
 
 def calibration_report(
@@ -163,7 +168,8 @@ class TrafficCheck:
         self._new: list[NDArray[np.float64]] = []
         self._seen = np.empty((0, COLUMNS))
         self._new_rows = 0
-        self._sampled_ns = self._judged_ns = -(1 << 62)
+        self._sampled_ns = self._judge_ns = -(1 << 62)
+        self._first_ns: int | None = None
 
     @property
     def doubtful(self) -> bool:
@@ -189,8 +195,8 @@ class TrafficCheck:
             new_rows = self._new_rows + first[k + 1] - first[done]
             known = min(len(self._seen) + new_rows, MAX_ROWS)
             enough = new_rows >= JUDGED_AGAIN * known
-            if enough and stamp_ns - self._judged_ns >= JUDGE_S * 1e9:
-                self._judged_ns = stamp_ns
+            if enough and stamp_ns >= self._judge_ns:
+                self._judge_ns = stamp_ns + self._pause_ns(stamp_ns)
                 self._take(boxes[first[done] : first[k + 1]])
                 done = k + 1
                 self.judge()
@@ -211,6 +217,13 @@ class TrafficCheck:
     def _take(self, boxes: NDArray[np.float64]) -> None:
         self._new.append(boxes)
         self._new_rows += len(boxes)
+
+    def _pause_ns(self, stamp_ns: int) -> int:
+        """How long the next judgement is not due."""
+        if self._first_ns is None:
+            self._first_ns = stamp_ns
+        so_far_s = (stamp_ns - self._first_ns) / 1e9
+        return int(1e9 * min(max(JUDGE_S, JUDGED_LATER * so_far_s), LONGEST_JUDGE_S))
 
     def judge(self) -> tuple[Remark, ...]:
         """The findings on all traffic that is remembered, now."""

@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 from geoorbit_ros.calibration.box_projector import BoxProjector
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.calibration.homography import Homography, plane_of_images
+from geoorbit_ros.cli.camera_input import CameraInput
 from geoorbit_ros.cli.images import (
     DEFAULT_FPS,
     check_images,
     shown_images,
 )
-from geoorbit_ros.cli.inputs import DEFAULT_ESTIMATOR, ROAD_IMAGE, CameraInput, find_lanes
+from geoorbit_ros.cli.inputs import DEFAULT_ESTIMATOR, ROAD_IMAGE, find_lanes
 from geoorbit_ros.cli.report import describe_method, save_report
 from geoorbit_ros.cli.resume import DetectionRun
 from geoorbit_ros.core.errors import NoTrafficError

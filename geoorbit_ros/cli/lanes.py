@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from geoorbit_ros.cli.camera_input import load_camera
 from geoorbit_ros.cli.inputs import (
     DEFAULT_ESTIMATOR,
     BagOption,
@@ -23,7 +24,6 @@ from geoorbit_ros.cli.inputs import (
     TrackFpsOption,
     TracksOption,
     UpdatePeriodOption,
-    load_camera,
     make_mapper,
     read_options,
 )

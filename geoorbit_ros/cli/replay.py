@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from geoorbit_ros.cli.camera_input import load_camera
 from geoorbit_ros.cli.inputs import (
     DEFAULT_ESTIMATOR,
     CalibrationOption,
@@ -23,12 +24,11 @@ from geoorbit_ros.cli.inputs import (
     RoadImageOption,
     StrictOption,
     UpdatePeriodOption,
-    load_camera,
     read_options,
 )
 
 if TYPE_CHECKING:
-    from geoorbit_ros.cli.inputs import CameraInput
+    from geoorbit_ros.cli.camera_input import CameraInput
     from geoorbit_ros.core.lanes import LaneMap
     from geoorbit_ros.nodes.support.bag_replay import ReplayRequest
 

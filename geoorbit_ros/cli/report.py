@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from geoorbit_ros.cli.camera_input import CameraInput, load_camera
 from geoorbit_ros.cli.inputs import (
     DEFAULT_ESTIMATOR,
     BagOption,
     CalibrationOption,
     CameraIdOption,
     CameraInfoOption,
-    CameraInput,
     ClassesOption,
     ColumnsOption,
     DatumOption,
@@ -23,7 +23,6 @@ from geoorbit_ros.cli.inputs import (
     TrackFpsOption,
     TracksOption,
     UpdatePeriodOption,
-    load_camera,
     make_mapper,
     read_options,
 )

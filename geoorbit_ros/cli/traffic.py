@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from geoorbit_ros.cli.camera_input import load_camera
 from geoorbit_ros.cli.inputs import (
     DEFAULT_ESTIMATOR,
     BagOption,
@@ -24,7 +25,6 @@ from geoorbit_ros.cli.inputs import (
     TrackFpsOption,
     TracksOption,
     UpdatePeriodOption,
-    load_camera,
     read_options,
 )
 from geoorbit_ros.cli.traffic_source import TrafficSource, source_of_camera, source_of_database

@@ -14,7 +14,7 @@ from geoorbit_ros.core.errors import ParameterError
 if TYPE_CHECKING:
     from geoorbit_ros.calibration.datum import Datum
     from geoorbit_ros.calibration.plane import RoadPlane
-    from geoorbit_ros.cli.inputs import CameraInput
+    from geoorbit_ros.cli.camera_input import CameraInput
     from geoorbit_ros.core.frame_spool import AnyFrames
     from geoorbit_ros.core.input_report import InputReport
     from geoorbit_ros.core.lanes import LaneMap
@@ -111,15 +111,14 @@ def source_of_camera(
     """The traffic of a file of tracks or a bag."""
     from geoorbit_ros.cli.console import read_lanes_aloud
     from geoorbit_ros.core.frame_spool import FrameSpool
-    from geoorbit_ros.core.tables import TRACK_DTYPE, join_blocks
+    from geoorbit_ros.core.tables import join_blocks
     from geoorbit_ros.lanes.geojson import write_lanes
     from geoorbit_ros.traffic.count import BLOCK_ROWS
     from geoorbit_ros.traffic.interval_clock import usual_gap_s
 
     kept: AnyFrames
-    if isinstance(camera.boxes, FrameSpool):
-        kept = FrameSpool(TRACK_DTYPE)
-        ground = camera.ground_tracks(kept)
+    if camera.helper is not None:
+        kept, ground = camera.helper.ground, camera.ground_tracks()
     else:
         kept = join_blocks(list(camera.ground_tracks()))
         ground = iter([kept])

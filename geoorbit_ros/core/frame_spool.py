@@ -1,7 +1,7 @@
 """Frames of a long recording in a temporary file: a camera's day doesn't fit into memory.
 
 The file has no name in its folder from the beginning, so that nothing is left of it however the
-program ends. Only its index is in memory: 16 bytes a frame.
+program ends. Its index, 16 bytes a frame, is in memory, and in a second file for other processes.
 """
 
 from __future__ import annotations
@@ -27,13 +27,21 @@ quiet road takes five seconds; with fewer rows the start of a process costs more
 more they take memory."""
 
 
+_INDEX = np.dtype([("stamp_ns", "<i8"), ("count", "<i8")])
+
+
 class FrameSpool:
     """Frames on disk, of rows of one dtype; what is asked for is read.
 
-    A process that is started with a spool among its arguments reads and writes the same file.
+    A process that is started with a spool among its arguments reads and writes the same files. What
+    one of them appends the other one sees when it is told how many frames there are (`see`).
 
     Args:
         dtype: Of the rows.
+
+    Attributes:
+        row_count: How many rows there are.
+        frame_count: How many frames.
 
     Raises:
         InputFileError: By every method, when the folder for temporary files has no room.
@@ -43,10 +51,13 @@ class FrameSpool:
         self.dtype = dtype
         with _told():
             self._file = tempfile.TemporaryFile(prefix="geoorbit-", buffering=0)  # noqa: SIM115
+            self._index_file = tempfile.TemporaryFile(  # noqa: SIM115
+                prefix="geoorbit-", buffering=0
+            )
         self._stamps: list[NDArray[np.int64]] = []
         self._counts: list[NDArray[np.int64]] = []
         self._index: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None
-        self.row_count = 0
+        self.row_count = self.frame_count = 0
 
     @classmethod
     def of(cls, blocks: Iterable[Frames], dtype: np.dtype[np.void]) -> Self:
@@ -63,12 +74,7 @@ class FrameSpool:
 
     def put(self, first_row: int, rows: NDArray[np.void]) -> None:
         """Write rows at their place; `announce` says to which frames they belong."""
-        left = np.ascontiguousarray(rows, self.dtype).view(np.uint8).data
-        at = first_row * self.dtype.itemsize
-        with _told():
-            while left:
-                written = os.pwrite(self._file.fileno(), left, at)
-                left, at = left[written:], at + written
+        _write(self._file.fileno(), np.ascontiguousarray(rows, self.dtype), first_row)
 
     def announce(self, stamp_ns: NDArray[np.int64], counts: NDArray[np.int64]) -> None:
         """Say which frames the next rows belong to.
@@ -77,13 +83,35 @@ class FrameSpool:
             stamp_ns: (F,) capture times, later than those before.
             counts: (F,) rows of each frame.
         """
+        index = np.empty(len(stamp_ns), _INDEX)
+        index["stamp_ns"], index["count"] = stamp_ns, counts
+        _write(self._index_file.fileno(), index, self.frame_count)
+        self._know(stamp_ns, counts)
+
+    def see(self, frame_count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Know of frames that another process appended.
+
+        Args:
+            frame_count: So many frames there are.
+
+        Returns:
+            Stamps and counts of rows, of those that were not known.
+        """
+        index = np.empty(frame_count - self.frame_count, _INDEX)
+        _read(self._index_file.fileno(), index, self.frame_count)
+        new = index["stamp_ns"].copy(), index["count"].copy()
+        self._know(*new)
+        return new
+
+    def _know(self, stamp_ns: NDArray[np.int64], counts: NDArray[np.int64]) -> None:
         self._stamps.append(stamp_ns)
         self._counts.append(counts)
         self.row_count += int(counts.sum())
+        self.frame_count += len(stamp_ns)
         self._index = None
 
     def __len__(self) -> int:
-        return len(self.stamp_ns)
+        return self.frame_count
 
     @property
     def stamp_ns(self) -> NDArray[np.int64]:
@@ -101,12 +129,7 @@ class FrameSpool:
         # Pages of their own: in the heap, block after block leaves holes that nothing fits into.
         room = mmap.mmap(-1, max(size, 1))
         rows = np.frombuffer(room, self.dtype, last_row - first_row)
-        left, at = rows.view(np.uint8).data, first_row * self.dtype.itemsize
-        while left:
-            read = os.preadv(self._file.fileno(), [left], at)
-            if not read:
-                raise InputFileError("temporary file", "its end", "all rows that were put into it")
-            left, at = left[read:], at + read
+        _read(self._file.fileno(), rows, first_row)
         return rows
 
     def part(self, first: int, last: int) -> Frames:
@@ -130,6 +153,7 @@ class FrameSpool:
     def close(self) -> None:
         """Give the room back."""
         self._file.close()
+        self._index_file.close()
 
     def _indexed(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         if self._index is None:
@@ -143,11 +167,35 @@ class FrameSpool:
         if multiprocessing.context.get_spawning_popen() is None:
             raise TypeError("a spool goes to a process only as it is started")
         self._indexed()
-        return self.__dict__ | {"_file": DupFd(self._file.fileno()), "_index": None}
+        files = {name: DupFd(getattr(self, name).fileno()) for name in _FILES}
+        return self.__dict__ | files | {"_index": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._file = os.fdopen(state["_file"].detach(), "r+b", buffering=0)
+        for name in _FILES:
+            setattr(self, name, os.fdopen(state[name].detach(), "r+b", buffering=0))
+
+
+_FILES = "_file", "_index_file"
+
+
+def _write(file: int, rows: NDArray[np.void], first: int) -> None:
+    """Put rows at their place in a file of such rows."""
+    left, at = rows.view(np.uint8).data, first * rows.dtype.itemsize
+    with _told():
+        while left:
+            written = os.pwrite(file, left, at)
+            left, at = left[written:], at + written
+
+
+def _read(file: int, rows: NDArray[np.void], first: int) -> None:
+    """Fill `rows` with those from `first` on."""
+    left, at = rows.view(np.uint8).data, first * rows.dtype.itemsize
+    while left:
+        read = os.preadv(file, [left], at)
+        if not read:
+            raise InputFileError("temporary file", "its end", "all rows that were put into it")
+        left, at = left[read:], at + read
 
 
 AnyFrames = Frames | FrameSpool

@@ -9,6 +9,7 @@ import pickle
 import signal
 import threading
 import traceback
+from collections import deque
 from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection
 from types import TracebackType
@@ -49,6 +50,7 @@ class HelperProcess(Generic[Item]):
         # Spawned: a fork would copy other threads' locks in whatever state they are.
         context = multiprocessing.get_context("spawn")
         self._receiving, sending = context.Pipe(duplex=False)
+        self._come = deque[tuple[int, Any]]()
         self._process = context.Process(
             target=_run, args=(sending, function, args, kwargs), daemon=True
         )
@@ -69,10 +71,22 @@ class HelperProcess(Generic[Item]):
         __: BaseException | None,
         ___: TracebackType | None,
     ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the process, whatever it is doing; again it does nothing."""
+        if self._receiving.closed:
+            return
         self._process.kill()
         self._process.join()
         self._process.close()
         self._receiving.close()
+
+    def receive(self) -> None:
+        """Take what has come so far, without waiting: a pipe that is full stops the process."""
+        with contextlib.suppress(EOFError):  # it is told when it is waited for
+            while self._receiving.poll():
+                self._come.append(self._receiving.recv())
 
     def __iter__(self) -> Iterator[Item]:
         """What the generator yields.
@@ -83,7 +97,7 @@ class HelperProcess(Generic[Item]):
         """
         while True:
             try:
-                kind, value = self._receiving.recv()
+                kind, value = self._come.popleft() if self._come else self._receiving.recv()
             except EOFError:
                 self._process.join(ENDING_S)
                 found = f"its end with exit code {self._process.exitcode}"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.core.tables import UNKNOWN_CLASS
+from geoorbit_ros.core.tables import UNKNOWN_CLASS, distinct
 from geoorbit_ros.traffic.lane_sequence import LaneSequence
 from geoorbit_ros.traffic.motion_fit import fit_motions
 from geoorbit_ros.traffic.records import PASSAGE_DTYPE, PIECE_DTYPE
@@ -136,12 +136,15 @@ def find_runs(paths: Paths, found: LaneSequence) -> Runs:
 
 def classes(paths: Paths) -> NDArray[np.int64]:
     """(V,) class of each vehicle: of most of its rows, weighed by score and sharpness."""
-    kinds, kind = np.unique(paths.rows["class_id"], return_inverse=True)
+    of_rows = paths.rows["class_id"]
+    kinds = distinct(of_rows)
     if not len(kinds):
         return np.full(len(paths), UNKNOWN_CLASS, np.int64)
-    votes = np.zeros((len(paths), len(kinds)))
+    kind = np.searchsorted(kinds, of_rows)
     weight = paths.rows["score"] / np.maximum(paths.rows["sigma"], 0.05) ** 2
-    np.add.at(votes, (paths.owner, kind), np.nan_to_num(weight, nan=0.0) + 1e-9)
+    weight = np.nan_to_num(weight, nan=0.0) + 1e-9
+    cell, cells = paths.owner * len(kinds) + kind, len(paths) * len(kinds)
+    votes = np.bincount(cell, weight, cells).reshape(len(paths), len(kinds))
     return np.asarray(kinds[votes.argmax(axis=1)], dtype=np.int64)
 
 

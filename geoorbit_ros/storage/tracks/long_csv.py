@@ -8,9 +8,8 @@ other.
 from __future__ import annotations
 
 import io
-import mmap
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -52,6 +51,8 @@ _GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(\.\d{3})+")
 """Such a number may have marks between thousands (`csv_text`)."""
 _NUMBERS = ("conf", "x", "y", "w", "h")
 
+Took = Callable[[], None]
+
 
 class _OddError(Exception):
     """Something is not as it should be."""
@@ -64,9 +65,14 @@ def spool_tracks(path: Path, options: ReadOptions) -> tuple[AnyFrames, InputRepo
     are read at once.
     """
     frames: AnyFrames
-    found = read_clean(path, options) if path.is_file() else None
-    frames, report = found or read_tracks(path, options)
+    frames, report = read_clean(path, options) or read_tracks(path, options)
     return spooled(frames), report
+
+
+def is_long(path: Path, options: ReadOptions) -> bool:
+    """Whether a file may be one for `read_clean`."""
+    simple = not options.fps and not options.columns and path.is_file()
+    return simple and path.stat().st_size >= LEAST_BYTES
 
 
 def spooled(frames: AnyFrames) -> AnyFrames:
@@ -78,14 +84,27 @@ def spooled(frames: AnyFrames) -> AnyFrames:
     return frames
 
 
-def read_clean(path: Path, options: ReadOptions) -> tuple[FrameSpool, InputReport] | None:
-    """What `read_tracks` gives of a long file without any fault; None for any other file."""
-    if options.fps or options.columns or path.stat().st_size < LEAST_BYTES:
+def read_clean(
+    path: Path, options: ReadOptions, into: FrameSpool | None = None, took: Took | None = None
+) -> tuple[FrameSpool, InputReport] | None:
+    """What `read_tracks` gives of a long file without any fault; None for any other file.
+
+    Args:
+        path: The file.
+        options: What the user says about it.
+        into: Takes the boxes; they are worth nothing if the file has a fault.
+        took: Called after each piece that it took.
+    """
+    if not is_long(path, options):
         return None
     report = InputReport(str(path), "boxes")
     size = options.size(None, report)
+    frames = FrameSpool(PIXEL_TRACK_DTYPE) if into is None else into
     try:
-        frames = FrameSpool.of(_frames(path, options, size), PIXEL_TRACK_DTYPE)
+        for piece in _frames(path, options, size):
+            frames.append(piece)
+            if took is not None:
+                took()
         _check_times(frames)
     except (_OddError, pa.ArrowInvalid):
         return None
@@ -171,9 +190,15 @@ def _types(path: Path) -> tuple[dict[str, pa.DataType], list[str]]:
 
 def _check_hexadecimal(path: Path) -> None:
     """Arrow reads `0x10` as 16 in columns of whole numbers; for `csv_text` it is no number."""
-    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-        if content.find(b"0x") >= 0 or content.find(b"0X") >= 0:
-            raise _OddError
+    last = b""
+    with path.open("rb", buffering=0) as file:
+        while piece := file.read(PIECE_BYTES):
+            # One letter is found ten times as fast as two.
+            if b"x" in piece or b"X" in piece:
+                text = (last + piece).lower()
+                if b"0x" in text:
+                    raise _OddError
+            last = piece[-1:]
 
 
 def _boxes(

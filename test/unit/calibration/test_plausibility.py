@@ -225,3 +225,30 @@ def test_a_recording_that_is_played_again_with_the_same_ids_gives_no_finding(
         for k, stamp_ns in enumerate(stamps_ns):
             projector.project(stamp_ns + lap * length_ns, camera.frames.frame(k))
     assert projector.traffic.judge() == ()
+
+
+def test_traffic_is_judged_more_seldom_as_time_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Within seconds at first, and later after a tenth of the time so far, or two minutes."""
+    check = BoxProjector(fit_homography(CAMERA.control_points()), (1920, 1080)).traffic
+    judged: list[float] = []
+    now_s, judge = 0.0, check.judge
+
+    def noted() -> object:
+        judged.append(now_s)
+        return judge()
+
+    monkeypatch.setattr(check, "judge", noted)
+    monkeypatch.setattr("geoorbit_ros.calibration.plausibility.MAX_ROWS", 50)
+    length_ns = CARS[-1][0] + 100_000_000
+    for lap in range(90):
+        for stamp_ns, rows in CARS:
+            stamp_ns += lap * length_ns
+            now_s = stamp_ns / 1e9
+            check.add(frames_from_rows(np.full(len(rows), stamp_ns), rows))
+    pauses = np.diff(judged)
+    assert judged[1] < 10.0
+    assert pauses.min() >= 2.0
+    allowed = np.minimum(np.maximum(0.1 * np.array(judged[:-1]), 2.0), 120.0)
+    assert (pauses >= 0.99 * allowed - 1.0).all()
+    assert (pauses <= allowed + 25.0).all()  # traffic of 20 s is not enough for another look
+    assert len(judged) < 100

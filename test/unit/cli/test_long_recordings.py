@@ -17,9 +17,9 @@ from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.cli.main import main
 from geoorbit_ros.core import frame_spool
 from geoorbit_ros.core.frame_spool import FrameSpool
-from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE, TRACK_DTYPE, Frames
+from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE, Frames
 from geoorbit_ros.lanes import projection_helper
-from geoorbit_ros.lanes.projection_helper import project_beside
+from geoorbit_ros.lanes.projection_helper import ProjectionHelper
 from geoorbit_ros.storage.database.writer import TrajectoryDatabase
 from geoorbit_ros.storage.track_csv import read_track_csv
 from geoorbit_ros.storage.tracks import long_csv
@@ -115,8 +115,13 @@ def test_ground_tracks_have_the_bytes_of_one_process(camera: CameraFiles) -> Non
     boxes.rows["flags"] = 0
     alone = BoxProjector(projector.homography, projector.image_size)
     expected = [alone.project_block(block) for block in boxes.blocks(200)]
-    spool, ground = FrameSpool.of([boxes], PIXEL_TRACK_DTYPE), FrameSpool(TRACK_DTYPE)
-    found = list(project_beside(spool, projector, ground, 200))
+    spool = FrameSpool(PIXEL_TRACK_DTYPE)
+    helper = ProjectionHelper(spool, projector, 200)
+    ground = helper.ground
+    for part in boxes.blocks(77):  # while boxes are still coming
+        spool.append(part)
+        helper.take()
+    found = list(helper.blocks())
     assert len(found) > 3
     for ours, theirs in zip(found, expected, strict=True):
         assert ours.rows.tobytes() == theirs.rows.tobytes()
@@ -131,8 +136,8 @@ def test_an_interruption_leaves_no_process(camera: CameraFiles) -> None:
     boxes, projector = boxes_and_projector(camera)
 
     def interrupted() -> None:
-        spool, ground = FrameSpool.of([boxes], PIXEL_TRACK_DTYPE), FrameSpool(TRACK_DTYPE)
-        blocks = project_beside(spool, projector, ground, 100)
+        spool = FrameSpool.of([boxes], PIXEL_TRACK_DTYPE)
+        blocks = ProjectionHelper(spool, projector, 100).blocks()
         next(blocks)
         assert isinstance(blocks, Generator)
         assert len(multiprocessing.active_children()) == 1

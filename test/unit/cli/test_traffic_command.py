@@ -13,7 +13,7 @@ import pytest
 from camera_files import CameraFiles, to_pixel
 from page_checker import check_page
 
-from geoorbit_ros.cli.inputs import load_camera
+from geoorbit_ros.cli.camera_input import load_camera
 from geoorbit_ros.cli.main import main
 from geoorbit_ros.storage.database.writer import TrajectoryDatabase
 
