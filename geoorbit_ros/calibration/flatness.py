@@ -95,10 +95,10 @@ def road_stretches(
     )
     table = table[np.isfinite(table).sum(axis=1) >= 2]
     known = np.isfinite(table).sum(axis=0) >= LEAST_CARS
-    if known.sum() < LEAST_STRETCHES:
-        return []
     table, middle = table[:, known], middle[known]
     table = table[np.isfinite(table).sum(axis=1) >= 2]
+    if len(middle) < LEAST_STRETCHES or np.isfinite(table).sum(axis=0).min() < LEAST_CARS:
+        return []
     bend = _bends(table, middle)
     rng = np.random.default_rng(0)
     drawn = [_bends(table[rng.integers(0, len(table), len(table))], middle) for _ in range(DRAWS)]
