@@ -19,7 +19,7 @@ from geoorbit_ros.calibration.point_advice import point_remarks
 from geoorbit_ros.calibration.traffic_findings import (
     COLUMNS,
     TIME,
-    bent_stretches,
+    SeenTraffic,
     border_finding,
     boxes_as_numbers,
     on_the_road,
@@ -28,6 +28,7 @@ from geoorbit_ros.calibration.traffic_findings import (
     size_finding,
     sky_finding,
     speed_finding,
+    stretches_of,
 )
 from geoorbit_ros.core.errors import CalibrationError
 from geoorbit_ros.core.input_report import InputReport, Remark, Treatment
@@ -237,9 +238,7 @@ class TrafficCheck:
             ]
             if self._pose is not None:
                 found += size_finding(traffic, self._image_size, self._homography, self._pose)
-                self._stretches = bent_stretches(
-                    traffic, self._image_size, self._homography, self._pose
-                )
+                self._stretches = [k for k in self._bends(traffic, self._pose) if k.clear]
                 height_m = float(self._pose.position_m[2])
                 texts = [stretch.sentence(height_m) for stretch in self._stretches]
                 found += [Remark(Treatment.NOTED, 0, text) for text in texts]
@@ -253,6 +252,16 @@ class TrafficCheck:
                 found.append(Remark(Treatment.NOTED, 0, text))
             self.findings = tuple(found)
         return self.findings
+
+    def stretches(self) -> list[Stretch]:
+        """How the road bends, by all traffic that is remembered; also where it does not clearly."""
+        self._remember()
+        if self._pose is None or not len(self._seen):
+            return []
+        return self._bends(seen_traffic(self._seen, self._times), self._pose)
+
+    def _bends(self, traffic: SeenTraffic, pose: CameraPose) -> list[Stretch]:
+        return stretches_of(traffic, self._image_size, self._homography, pose)
 
     def _remember(self) -> None:
         """Put the new rows on the road, and forget the oldest frames."""

@@ -443,17 +443,17 @@ def _car_size(
     return np.median(usual, axis=0) if len(usual) >= MIN_CARS else None
 
 
-def bent_stretches(
+def stretches_of(
     traffic: SeenTraffic, image_size: tuple[int, int], homography: Homography, pose: CameraPose
 ) -> list[Stretch]:
-    """Where the road is not the plane: cars that all look larger or smaller there."""
+    """How the road bends along it: where cars all look larger or smaller."""
     track_id, box = _whole_cars(traffic, image_size, MAX_FLATNESS_BOXES)
     found = _car_ratios(track_id, box, homography, pose) if len(box) else None
     if found is None:
         return []
     track_id, ratio, ground = found
     distance_m = np.hypot(*(ground - pose.position_m[:2]).T)
-    return [k for k in road_stretches(track_id, distance_m, ratio.mean(axis=1)) if k.clear]
+    return road_stretches(track_id, distance_m, ratio.mean(axis=1))
 
 
 def _car_ratios(

@@ -20,6 +20,9 @@ BACK_SHARE = 0.7
 SHAKING_PX, CALM_PX = 0.8, 0.5
 """Sway (1-sigma) from which a camera shakes, and below which it does so no more, at that width.
 Chosen: looks differ by 0.1 to 0.2 px of a steady camera."""
+NOISE_SIGMAS = 4.0
+"""And in errors of a single look. Chosen: images 350 px wide with dense traffic look as if they
+shook else; larger misses a sway where few patches are found."""
 SWAY_S = 3.0
 """Time over which sway is measured: six swings of 2 Hz. Chosen: longer reacts to wind later."""
 LATEST = 4
@@ -101,7 +104,9 @@ class Movement:
         stamps = np.array([look.stamp_ns for look in self._looks])
         place = off_px.mean(axis=1)
         sway_px = self._sway(place[stamps >= stamp_ns - SWAY_S * 1e9])
-        self.shaking = sway_px >= (CALM_PX if self.shaking else SHAKING_PX) * unit
+        noise_px = float(np.median([look.sigma_px for look in self._looks]))
+        limit_px = (CALM_PX if self.shaking else SHAKING_PX) * unit
+        self.shaking = sway_px >= max(limit_px, NOISE_SIGMAS * noise_px)
         moved_px, began = self._away(off_px, sway_px, unit)
         before = self._state
         self._state = ViewState.STEADY

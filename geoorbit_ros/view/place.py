@@ -6,9 +6,8 @@ from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from geoorbit_ros.view.picture import Grey, Matrix, shifted, warped_back
+from geoorbit_ros.view.picture import Grey, Matrix, warped_back
 from geoorbit_ros.view.reference import Match, Reference
 from geoorbit_ros.view.registration import find, follow
 
@@ -63,7 +62,7 @@ class Place:
     _kept_ns: int = 0
     _renewed_ns: int = 0
     _kept: deque[tuple[Grey, Matrix]] = field(default_factory=lambda: deque(maxlen=MEDIAN_OF))
-    _middles: list[NDArray[np.float64]] = field(default_factory=list)
+    _middles: list[Matrix] = field(default_factory=list)
     _shares: deque[float] = field(default_factory=lambda: deque(maxlen=MEDIAN_OF))
 
     @staticmethod
@@ -121,7 +120,7 @@ class Place:
     def _learn(self, stamp_ns: int, picture: Grey, match: Match) -> None:
         """Keep pictures for a new reference, and make one when the old ones show too little."""
         if not self.settled:
-            self._middles.append(self.motion[:2, 2])
+            self._middles.append(self.motion)
         if not self._keeps(stamp_ns):
             return
         if match.sigma_px > SURE_SIGMA_PX or match.share < LEAST_SHARE:
@@ -156,8 +155,8 @@ class Place:
         A camera that sways shows its first picture at the end of a swing as well as in the middle.
         """
         # Looks of a camera that shakes are dense; the few before that would weigh too much by time.
-        middle = np.mean(self._middles, axis=0)
-        centre = shifted(*middle.tolist())
+        # Turn and zoom, too: the first picture, with its vehicles in it, shows both a little wrong.
+        centre = np.mean(self._middles, axis=0)
         from_centre = [(p, m @ np.linalg.inv(centre)) for p, m in self._kept]
         self.references = [Reference(_median([warped_back(p, m) for p, m in from_centre]))]
         self.motion = self.motion @ np.linalg.inv(centre)
