@@ -280,6 +280,20 @@ def test_a_migration_happens_whole_or_not(tmp_path: Path) -> None:
         assert_same(reader.read("a"), FRAMES)
 
 
+def test_a_database_in_a_folder_that_cannot_be_written_to_is_read(
+    stored: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Readers share memory in a file beside it, which can't be made there."""
+    with TrajectoryReader(stored) as reader:
+        expected = reader.cameras()
+    beside = [stored.with_name(stored.name + end) for end in ("-wal", "-shm")]
+    assert not any(file.exists() for file in beside)
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    with TrajectoryReader(stored) as reader:
+        assert reader.cameras() == expected
+        assert not any(file.exists() for file in beside), "nothing was made"
+
+
 def test_what_is_no_trajectory_database(tmp_path: Path) -> None:
     (tmp_path / "text.db").write_text("id,time,frame_num\n" * 100)
     other = sqlite3.connect(tmp_path / "other.db")
