@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from typing import Any
 
 import cv2
 import numpy as np
@@ -63,8 +64,7 @@ class RepeatWatch:
         size = (picture.shape[1] // BLOCK_PX, picture.shape[0] // BLOCK_PX)
         blocks = cv2.resize(picture.astype(np.float32), size, interpolation=cv2.INTER_AREA)
         still = self._still
-        same_size = still is not None and still.shape == blocks.shape
-        if not same_size or float(np.abs(blocks - still).max()) > STILL_LEVELS:
+        if still is None or still.shape != blocks.shape or _changed(blocks, still):
             self._still, self._still_since_ns = np.asarray(blocks), stamp_ns
             self._images = self._same = 0
         long = stamp_ns - self._still_since_ns >= STILL_S * 1e9
@@ -111,3 +111,7 @@ class RepeatWatch:
             if len(self._seen) <= MEMORY_IMAGES and stamp_ns - seen_ns <= MEMORY_S * 1e9:
                 return
             del self._seen[oldest]
+
+
+def _changed(now: NDArray[Any], then: NDArray[np.float32]) -> bool:
+    return float(np.abs(now - then).max()) > STILL_LEVELS
