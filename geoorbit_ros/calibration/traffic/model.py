@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.calibration.traffic.boxes import PlacedBoxes, place_boxes
 from geoorbit_ros.calibration.traffic.parameters import (
     FEW,
     FOCAL,
@@ -35,9 +36,15 @@ from geoorbit_ros.calibration.traffic.paths import (
     find_neighbours,
     path_headings,
 )
+from geoorbit_ros.calibration.traffic.road_direction import Places, road_headings
 from geoorbit_ros.calibration.traffic.samples import TrafficSamples
-from geoorbit_ros.calibration.vehicle_fit import VehicleFit, fit_vehicles, on_plane
-from geoorbit_ros.calibration.vehicle_size import BUS, CAR, COVARIANCE, MEAN_M, PRECISION
+from geoorbit_ros.calibration.vehicle_fit import (
+    corners,
+    edges,
+    on_plane,
+    vehicle_axes,
+)
+from geoorbit_ros.calibration.vehicle_size import BUS, CAR, MEAN_M, PRECISION
 
 Array = NDArray[np.float64]
 
@@ -49,8 +56,6 @@ same for a second: places that are nearer in time have more of it each, so that 
 as independent."""
 PATH_SIGMA_PX, PATH_SIGMA_RATIO = 0.6, 0.02
 """The same of the middle of a box across the way."""
-POSITION_PRIOR = 0.15
-"""Share of a size's variance within its class that is left when positions are taken."""
 START_LOSS, LOSS = 1.5, 2.5
 """Sigma beyond which a box counts less, while looking for the camera (pseudo-Huber) and in the end
 (Cauchy): tracks that change vehicles are far off."""
@@ -60,6 +65,11 @@ them together in the same places. Chosen on some twenty simulated cameras, for t
 lie within two of its sigma in 95 %; larger claims too much, smaller lets the priors decide."""
 SIZE_BOUNDS = 0.4, 2.8
 """Sizes stay between these shares of the usual one: a pickup is a truck of half the length."""
+LEAST_TURN_RAD = np.radians(0.2)
+"""1-sigma by which a direction that many vehicles share is wrong all the same: roads are bent in
+other ways than the regression allows."""
+ROUGH_PLACES = 3
+"""Places before and after from which a vehicle's rough direction is taken."""
 OFFSET = 1e3
 """Added to the logarithm of a vehicle's determinant, so that its root exists."""
 BEYOND = 6.0
@@ -79,7 +89,7 @@ class Explained:
         information: (3, 3, K) about each size, its prior included.
     """
 
-    fit: VehicleFit
+    fit: PlacedBoxes
     headings: Headings
     own_headings: Headings
     size_m: Array
@@ -130,6 +140,7 @@ class TrafficModel:
         self._near: Neighbours | None = None
         self._aside: Neighbours | None = None
         self._aside_sigma: Array = np.ones(0)
+        self._turned: Array = np.zeros_like(self.side)
         self._directions: tuple[Array, ...] | None = None
         self._settled: Headings | None = None
         self._mean, self._prior_size = (
@@ -155,26 +166,17 @@ class TrafficModel:
         """Positions, headings and sizes of all vehicles for a camera."""
         matrix, usual = projection_matrix(x, self.image_size), self.usual_size(x)
         size = self._size * usual if size_m is None else size_m
-        spread = POSITION_PRIOR * COVARIANCE[self.group].transpose(1, 2, 0)
         relative = self._mean / usual
         prior = self._prior_size * relative[:, None] * relative
         xy = on_plane(matrix, self.centre, size[2][self.vehicle] / 2)[0]
         roof = x[ROOF] * np.where(self.group < BUS, 1.0, ROOF_OF_LARGE)[self.vehicle]
-        sigma = self.sigma * self.noise
+        sigma = np.hypot(self.sigma * self.noise, self._turned)
         for _ in range(steps):
             own, headings = self._headings(matrix, x, xy)
-            with np.errstate(all="ignore"):
-                fit = fit_vehicles(
-                    matrix,
-                    self.centre,
-                    self.side,
-                    headings.angle,
-                    size[:, self.vehicle],
-                    spread[:, :, self.vehicle],
-                )
+            fit = place_boxes(matrix, self.centre, headings.angle, size[:, self.vehicle])
             slope, predicted = fit.side_slope.copy(), fit.side_px + x[MARGIN][:, None]
-            predicted[1] -= roof * slope[1, 0] * size[0][self.vehicle]
-            slope[1, 0] *= 1.0 - roof
+            predicted[1] -= roof * fit.by_length * size[0][self.vehicle]
+            slope[1, 0] -= roof * fit.by_length
             slope /= sigma[:, None]
             residual = (self.side - predicted) / sigma
             new = self._sizes(residual, slope, fit.good, size, usual, prior)
@@ -233,26 +235,59 @@ class TrafficModel:
         From then on the ways' directions in the image are given. Smoothed anew for every camera,
         they would favour one that shortens the road, where less of their noise is left.
         """
-        self._unit, self._near, self._aside = float(x[HEIGHT]), None, None
-        self._directions = None
+        self._unit, self._aside = float(x[HEIGHT]), None
         found = self.explain(x, 4)
         good = found.fit.good
-        headings = found.own_headings
-        self._near, self._aside = find_neighbours(found.fit.xy, headings, self.vehicle, good)
+        road, own = self._way_headings(x, found)
+        _, self._aside = find_neighbours(found.fit.xy, road, self.vehicle, good)
         here, there = self._aside.here, self._aside.there
-        variance = PARALLEL_SIGMA_RAD**2 + headings.variance[here] + headings.variance[there]
-        self._aside_sigma = np.sqrt(variance) * self._pixel_turn(x, found)[here]
-        found = self.explain(x, 4)
+        variance = PARALLEL_SIGMA_RAD**2 + road.variance[here] + road.variance[there]
         slope = _pixels_per_metre(projection_matrix(x, self.image_size), found.fit.xy)
-        self._settled = found.own_headings
+        self._settled = road
         self._directions = tuple(
             slope[:, 0] * np.cos(turned.angle) + slope[:, 1] * np.sin(turned.angle)
-            for turned in (found.own_headings, found.headings)
+            for turned in (road, own)
         )
+        self._turned = self._side_turn(x, found) * np.hypot(np.sqrt(own.variance), LEAST_TURN_RAD)
+        found = self.explain(x, 4)
+        self._aside_sigma = np.sqrt(variance) * self._pixel_turn(x, found)[here]
         self._size = found.size_m / self.usual_size(x)
         middle = float(np.median(np.abs(found.residual[:, good]))) / 0.6745
         self.misfit = self.noise * middle
         self.noise = float(np.clip(1.1 * self.misfit, 0.4, 2.0))
+
+    def _way_headings(self, x: Array, found: Explained) -> tuple[Headings, Headings]:
+        """Directions of the road and of the vehicles at the boxes, from all ways."""
+        matrix, samples = projection_matrix(x, self.image_size), self.samples
+        whose = samples.way_vehicle
+        low, high = samples.way_edges[:2], samples.way_edges[2:]
+        centre, side = (low + high) / 2, high - low
+        size = found.size_m[:, whose]
+        rough = _rough_angle(on_plane(matrix, centre, size[2] / 2)[0], whose)
+        fit = place_boxes(matrix, centre, rough, size)
+        xy = np.where(fit.good, fit.xy, np.nan)
+        first = np.flatnonzero(np.diff(whose, prepend=-1))
+        lasts = np.maximum.reduceat(samples.way_time_s, first) - samples.way_time_s[first]
+        spacing = lasts / np.maximum(np.bincount(whose) - 1, 1)
+        slow = np.maximum(1.0, CORRELATION_S / np.maximum(spacing, 0.05))[whose]
+        noise = np.sqrt(PATH_SIGMA_PX**2 + PATH_SIGMA_RATIO**2 * slow * side.max(axis=0) ** 2)
+        noise = noise * _across(_pixels_per_metre(matrix, fit.xy), rough)
+        places = Places(xy, whose, samples.way_time_s, rough, noise)
+        slope = _pixels_per_metre(matrix, found.fit.xy)
+        at = self._path_sigma * _across(slope, found.headings.angle)
+        return road_headings(places, found.fit.xy, self.vehicle, found.headings.angle, at)
+
+    def _side_turn(self, x: Array, found: Explained) -> Array:
+        """(2, N) how much the sides of the boxes change when a vehicle turns, pixels per radian."""
+        matrix, small = projection_matrix(x, self.image_size), 0.01
+        size = found.size_m[:, self.vehicle]
+        sides = []
+        for turn in (-small, small):
+            unit = vehicle_axes(matrix, found.headings.angle + turn)
+            edge = edges(corners(matrix, found.fit.xy, unit * size[:, None])[0])
+            sides.append(edge[2:] - edge[:2])
+        slope = np.abs(sides[1] - sides[0]) / (2.0 * small)
+        return np.asarray(np.where(found.fit.good & np.isfinite(slope), slope, 0.0))
 
     def _pixel_turn(self, x: Array, found: Explained) -> Array:
         """(N,) how much a way turns in the image when it turns on the road."""
@@ -329,6 +364,28 @@ def _pixels_per_metre(matrix: Array, xy: Array) -> Array:
         uvw = matrix[:, :2] @ xy + matrix[:, 3:]
         uv = uvw[:2] / uvw[2]
         return np.asarray((matrix[:2, :2, None] - uv[:, None] * matrix[2, :2, None]) / uvw[2])
+
+
+def _rough_angle(xy: Array, vehicle: NDArray[np.intp]) -> Array:
+    """(M,) where vehicles head, from the places before and after; ordered by vehicle and time."""
+    place = np.arange(len(vehicle))
+    first = np.flatnonzero(np.diff(vehicle, prepend=-1))
+    last = np.append(first[1:], len(vehicle)) - 1
+    number = np.cumsum(np.diff(vehicle, prepend=-1) > 0) - 1
+    before = np.maximum(place - ROUGH_PLACES, first[number])
+    after = np.minimum(place + ROUGH_PLACES, last[number])
+    off = xy[:, after] - xy[:, before]
+    return np.asarray(np.arctan2(off[1], off[0]))
+
+
+def _across(slope: Array, angle: Array) -> Array:
+    """(N,) metres across a direction on the road that one pixel in any direction means."""
+    area = slope[0, 0] * slope[1, 1] - slope[0, 1] * slope[1, 0]
+    cos, sin = np.cos(angle), np.sin(angle)
+    # Rows of the inverse slopes, combined across the direction.
+    by_u = -sin * slope[1, 1] - cos * slope[1, 0]
+    by_v = sin * slope[0, 1] + cos * slope[0, 0]
+    return np.asarray(np.hypot(by_u, by_v) / np.maximum(np.abs(area), 1e-12))
 
 
 def _on_road(slope: Array, shown: Array) -> Array:
