@@ -112,19 +112,21 @@ def _local(
     if use.sum() < 2:
         return None
     chosen, along, aside = chosen[use], along[use], aside[use]
-    whose, of = np.unique(places.vehicle[chosen], return_inverse=True)
+    first = np.diff(places.vehicle[chosen], prepend=-1) != 0
+    whose, of = places.vehicle[chosen][first], np.cumsum(first) - 1
     weight = (1.0 - np.abs(along / reach) ** 3) ** 3 * (1.0 - (aside / ASIDE_M) ** 2)
     weight = weight / places.noise[chosen] ** 2
 
+    total = np.bincount(of, weight)
+
     def centred(values: Array) -> Array:
-        total = np.bincount(of, weight)
         return values - (np.bincount(of, weight * values) / total)[of]
 
     time = centred(places.time_s[chosen])
     spread = np.bincount(of, weight * time**2)
     speed = np.bincount(of, weight * time * along) / np.maximum(spread, 1e-9)
     along = along - centred(along) + speed[of] * time
-    middle = (np.bincount(of, weight * aside) / np.bincount(of, weight))[of]
+    middle = (np.bincount(of, weight * aside) / total)[of]
     terms = np.stack(
         [centred(t) for t in (along, along**2 / 2.0, along**3 / 6.0, middle * along)]
     )

@@ -118,7 +118,8 @@ def sample_traffic(
             votes = np.bincount(GROUP[rows["class_id"][use] & 255], rows["score"][use] + 1e-3)
             found.append(np.column_stack((np.full(len(places), len(groups)), places)))
             way = use[_along_way(time_s[use], ideal[:, use])]
-            ways.append(np.column_stack((np.full(len(way), len(groups)), time_s[way], ideal[:, way].T)))
+            number = np.full(len(way), len(groups))
+            ways.append(np.column_stack((number, time_s[way], ideal[:, way].T)))
             groups.append(int(votes.argmax()))
     table, way = (np.concatenate([np.empty((0, 6)), *rows]) for rows in (found, ways))
     points = (rows["flags"] & FLAG_GROUND_POINT) != 0
