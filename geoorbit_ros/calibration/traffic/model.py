@@ -14,6 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.traffic.boxes import PlacedBoxes, place_boxes
+from geoorbit_ros.calibration.traffic.image_directions import (
+    alike,
+    in_image,
+    metres_across,
+    on_road,
+    pixel_turn,
+    pixels_per_metre,
+    rough_angle,
+)
 from geoorbit_ros.calibration.traffic.parameters import (
     FEW,
     FOCAL,
@@ -68,8 +77,6 @@ SIZE_BOUNDS = 0.4, 2.8
 LEAST_TURN_RAD = np.radians(0.2)
 """1-sigma by which a direction that many vehicles share is wrong all the same: roads are bent in
 other ways than the regression allows."""
-ROUGH_PLACES = 3
-"""Places before and after from which a vehicle's rough direction is taken."""
 OFFSET = 1e3
 """Added to the logarithm of a vehicle's determinant, so that its root exists."""
 BEYOND = 6.0
@@ -114,6 +121,7 @@ class TrafficModel:
         noise: What the sides' errors are multiplied with.
         misfit: How far boxes are off the camera that was settled last, over their usual errors.
         robust: Cauchy's loss in place of the milder one.
+        focal_px: The focal length, where it is known.
     """
 
     def __init__(
@@ -124,20 +132,17 @@ class TrafficModel:
         focal_px: float | None = None,
     ) -> None:
         self.samples, self.image_size = samples, image_size
-        self.points, self._focal_px = points, focal_px
+        self.points, self.focal_px = points, focal_px
         low, high = samples.edges[:2], samples.edges[2:]
         self.centre, self.side = (low + high) / 2, high - low
         self.vehicle, self.group = samples.vehicle, samples.group
         self.first = np.flatnonzero(np.diff(self.vehicle, prepend=-1))
-        lasts = np.maximum.reduceat(samples.time_s, self.first) - samples.time_s[self.first]
-        spacing = lasts / np.maximum(np.bincount(self.vehicle) - 1, 1)
-        slow = np.maximum(1.0, CORRELATION_S / np.maximum(spacing, 0.05))[self.vehicle]
+        slow = alike(self.vehicle, samples.time_s, CORRELATION_S)
         self.sigma = np.sqrt(SIDE_SIGMA_PX**2 + SIDE_SIGMA_RATIO**2 * slow * self.side**2)
         across = PATH_SIGMA_RATIO**2 * slow * self.side.max(axis=0) ** 2
         self._path_sigma = np.sqrt(PATH_SIGMA_PX**2 + across)
         self._size = np.ones((3, len(self.group)))
         self._unit = float(np.log(10.0))
-        self._near: Neighbours | None = None
         self._aside: Neighbours | None = None
         self._aside_sigma: Array = np.ones(0)
         self._turned: Array = np.zeros_like(self.side)
@@ -219,15 +224,15 @@ class TrafficModel:
         """Of each vehicle alone, and shared with its neighbours."""
         zoom = np.exp(self._unit - x[HEIGHT])
         if self._directions is not None and self._settled is not None:
-            slope = _pixels_per_metre(matrix, xy)
-            alone, shared = (_on_road(slope, shown) for shown in self._directions)
+            slope = pixels_per_metre(matrix, xy)
+            alone, shared = (on_road(slope, shown) for shown in self._directions)
             variance, bend = self._settled.variance, self._settled.curvature
             return Headings(alone, variance, bend), Headings(shared, variance, bend)
         xy = xy * zoom
         depth = np.maximum(matrix[2, :2] @ np.nan_to_num(xy) + matrix[2, 3] * zoom, 0.5)
         noise = self._path_sigma * depth / (np.exp(x[FOCAL]) * self.image_size[0])
         own = path_headings(xy, noise, self.vehicle)
-        return own, own if self._near is None else self._near.share(xy, own)
+        return own, own
 
     def settle(self, x: Array) -> None:
         """Take a camera for nearly right: neighbours, ways, sizes and noise are as it shows them.
@@ -239,15 +244,12 @@ class TrafficModel:
         found = self.explain(x, 4)
         good = found.fit.good
         road, own = self._way_headings(x, found)
-        _, self._aside = find_neighbours(found.fit.xy, road, self.vehicle, good)
+        self._aside = find_neighbours(found.fit.xy, road, self.vehicle, good)
         here, there = self._aside.here, self._aside.there
         variance = PARALLEL_SIGMA_RAD**2 + road.variance[here] + road.variance[there]
-        slope = _pixels_per_metre(projection_matrix(x, self.image_size), found.fit.xy)
+        slope = pixels_per_metre(projection_matrix(x, self.image_size), found.fit.xy)
         self._settled = road
-        self._directions = tuple(
-            slope[:, 0] * np.cos(turned.angle) + slope[:, 1] * np.sin(turned.angle)
-            for turned in (road, own)
-        )
+        self._directions = tuple(in_image(slope, turned.angle) for turned in (road, own))
         self._turned = self._side_turn(x, found) * np.hypot(np.sqrt(own.variance), LEAST_TURN_RAD)
         found = self.explain(x, 4)
         self._aside_sigma = np.sqrt(variance) * self._pixel_turn(x, found)[here]
@@ -263,18 +265,15 @@ class TrafficModel:
         low, high = samples.way_edges[:2], samples.way_edges[2:]
         centre, side = (low + high) / 2, high - low
         size = found.size_m[:, whose]
-        rough = _rough_angle(on_plane(matrix, centre, size[2] / 2)[0], whose)
+        rough = rough_angle(on_plane(matrix, centre, size[2] / 2)[0], whose)
         fit = place_boxes(matrix, centre, rough, size)
         xy = np.where(fit.good, fit.xy, np.nan)
-        first = np.flatnonzero(np.diff(whose, prepend=-1))
-        lasts = np.maximum.reduceat(samples.way_time_s, first) - samples.way_time_s[first]
-        spacing = lasts / np.maximum(np.bincount(whose) - 1, 1)
-        slow = np.maximum(1.0, CORRELATION_S / np.maximum(spacing, 0.05))[whose]
+        slow = alike(whose, samples.way_time_s, CORRELATION_S)
         noise = np.sqrt(PATH_SIGMA_PX**2 + PATH_SIGMA_RATIO**2 * slow * side.max(axis=0) ** 2)
-        noise = noise * _across(_pixels_per_metre(matrix, fit.xy), rough)
+        noise = noise * metres_across(pixels_per_metre(matrix, fit.xy), rough)
         places = Places(xy, whose, samples.way_time_s, rough, noise)
-        slope = _pixels_per_metre(matrix, found.fit.xy)
-        at = self._path_sigma * _across(slope, found.headings.angle)
+        slope = pixels_per_metre(matrix, found.fit.xy)
+        at = self._path_sigma * metres_across(slope, found.headings.angle)
         return road_headings(places, found.fit.xy, self.vehicle, found.headings.angle, at)
 
     def _side_turn(self, x: Array, found: Explained) -> Array:
@@ -291,11 +290,8 @@ class TrafficModel:
 
     def _pixel_turn(self, x: Array, found: Explained) -> Array:
         """(N,) how much a way turns in the image when it turns on the road."""
-        slope = _pixels_per_metre(projection_matrix(x, self.image_size), found.fit.xy)
-        angle = found.own_headings.angle
-        ahead = slope[:, 0] * np.cos(angle) + slope[:, 1] * np.sin(angle)
-        area = slope[0, 0] * slope[1, 1] - slope[0, 1] * slope[1, 0]
-        return np.asarray(np.abs(area) / ((ahead**2).sum(axis=0) + 1e-12))
+        slope = pixels_per_metre(projection_matrix(x, self.image_size), found.fit.xy)
+        return pixel_turn(slope, found.own_headings.angle)
 
     def residuals(self, x: Array) -> Array:
         """Everything, in sigma, robust losses applied: half the sum of squares is to be least.
@@ -320,7 +316,7 @@ class TrafficModel:
             self._weight * sizes.ravel(),
             self._weight * np.sqrt(np.maximum(OFFSET + spread, 0.0)),
             self._parallel(x, found),
-            prior_residuals(x, self.image_size[0], self._focal_px),
+            prior_residuals(x, self.image_size[0], self.focal_px),
             self.known_points(x),
         ]
         whole = np.concatenate(parts)
@@ -356,44 +352,6 @@ class TrafficModel:
         off = (uv - points.pixel.T) / np.hypot(points.sigma_px, ground)
         # Behind the camera every error on the ground would excuse any pixel.
         return np.asarray(np.where(uvw[2] > LEAST_DEPTH_M, off, UNSEEN).ravel())
-
-
-def _pixels_per_metre(matrix: Array, xy: Array) -> Array:
-    """(2, 2, N) slopes of pixels (first axis) with positions (second) on the road."""
-    with np.errstate(all="ignore"):
-        uvw = matrix[:, :2] @ xy + matrix[:, 3:]
-        uv = uvw[:2] / uvw[2]
-        return np.asarray((matrix[:2, :2, None] - uv[:, None] * matrix[2, :2, None]) / uvw[2])
-
-
-def _rough_angle(xy: Array, vehicle: NDArray[np.intp]) -> Array:
-    """(M,) where vehicles head, from the places before and after; ordered by vehicle and time."""
-    place = np.arange(len(vehicle))
-    first = np.flatnonzero(np.diff(vehicle, prepend=-1))
-    last = np.append(first[1:], len(vehicle)) - 1
-    number = np.cumsum(np.diff(vehicle, prepend=-1) > 0) - 1
-    before = np.maximum(place - ROUGH_PLACES, first[number])
-    after = np.minimum(place + ROUGH_PLACES, last[number])
-    off = xy[:, after] - xy[:, before]
-    return np.asarray(np.arctan2(off[1], off[0]))
-
-
-def _across(slope: Array, angle: Array) -> Array:
-    """(N,) metres across a direction on the road that one pixel in any direction means."""
-    area = slope[0, 0] * slope[1, 1] - slope[0, 1] * slope[1, 0]
-    cos, sin = np.cos(angle), np.sin(angle)
-    # Rows of the inverse slopes, combined across the direction.
-    by_u = -sin * slope[1, 1] - cos * slope[1, 0]
-    by_v = sin * slope[0, 1] + cos * slope[0, 0]
-    return np.asarray(np.hypot(by_u, by_v) / np.maximum(np.abs(area), 1e-12))
-
-
-def _on_road(slope: Array, shown: Array) -> Array:
-    """(N,) angle on the road of ways (2, N) in the image."""
-    x = slope[1, 1] * shown[0] - slope[0, 1] * shown[1]
-    y = slope[0, 0] * shown[1] - slope[1, 0] * shown[0]
-    area = slope[0, 0] * slope[1, 1] - slope[0, 1] * slope[1, 0]
-    return np.asarray(np.arctan2(np.sign(area) * y, np.sign(area) * x))
 
 
 def _pseudo_huber(residual: Array) -> Array:

@@ -127,9 +127,7 @@ def _local(
     speed = np.bincount(of, weight * time * along) / np.maximum(spread, 1e-9)
     along = along - centred(along) + speed[of] * time
     middle = (np.bincount(of, weight * aside) / total)[of]
-    terms = np.stack(
-        [centred(t) for t in (along, along**2 / 2.0, along**3 / 6.0, middle * along)]
-    )
+    terms = np.stack([centred(t) for t in (along, along**2 / 2.0, along**3 / 6.0, middle * along)])
     target = centred(aside)
     information = np.bincount(of, weight * terms[0] ** 2)
     share = 1.0 / (1.0 + information * WANDER_RAD**2)
