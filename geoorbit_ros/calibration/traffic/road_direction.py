@@ -16,6 +16,9 @@ Index = NDArray[np.intp]
 REACH_M, REACH_NOISE = (12.0, 40.0), 60.0
 """Places so far before and behind are used: the noise of a position across the way times the last,
 between the first two. Chosen: longer smooths the beginning of bends, shorter follows the noise."""
+WIDER = 1.5
+"""Speeds are taken from places so much further before and behind: chosen by their noisy places,
+those at the ends would turn the road as well."""
 ASIDE_M = 6.0
 """Places so far to the side are used: those of the lane and of its neighbours."""
 TURNED_RAD = 0.35
@@ -82,7 +85,7 @@ def road_headings(
     reach = np.clip(REACH_NOISE * np.nan_to_num(noise, nan=1.0), *REACH_M)
     centre = np.nan_to_num(xy, nan=1e6, posinf=1e6, neginf=1e6)
     tree = scipy.spatial.cKDTree(places.xy.T)
-    near = tree.query_ball_point(centre.T, np.hypot(reach, ASIDE_M))
+    near = tree.query_ball_point(centre.T, np.hypot(WIDER * reach, ASIDE_M))
     road, own = np.array(angle), np.array(angle)
     variance, bend = np.full(len(angle), TURNED_RAD**2), np.zeros(len(angle))
     unsure = np.zeros(len(angle))
@@ -108,7 +111,13 @@ def _local(
     cos, sin = np.cos(angle), np.sin(angle)
     along, aside = off[0] * cos + off[1] * sin, off[1] * cos - off[0] * sin
     turn = (places.angle[chosen] - angle + np.pi) % (2.0 * np.pi) - np.pi
-    use = (np.abs(along) < reach) & (np.abs(aside) < ASIDE_M) & (np.abs(turn) < TURNED_RAD)
+    use = (np.abs(along) < WIDER * reach) & (np.abs(aside) < ASIDE_M)
+    use &= np.abs(turn) < TURNED_RAD
+    if use.sum() < 2:
+        return None
+    chosen, along, aside = chosen[use], along[use], aside[use]
+    along = _steady(places.vehicle[chosen], places.time_s[chosen], along)
+    use = np.abs(along) < reach
     if use.sum() < 2:
         return None
     chosen, along, aside = chosen[use], along[use], aside[use]
@@ -120,12 +129,8 @@ def _local(
     total = np.bincount(of, weight)
 
     def centred(values: Array) -> Array:
-        return values - (np.bincount(of, weight * values) / total)[of]
+        return np.asarray(values - (np.bincount(of, weight * values) / total)[of])
 
-    time = centred(places.time_s[chosen])
-    spread = np.bincount(of, weight * time**2)
-    speed = np.bincount(of, weight * time * along) / np.maximum(spread, 1e-9)
-    along = along - centred(along) + speed[of] * time
     middle = (np.bincount(of, weight * aside) / total)[of]
     terms = np.stack([centred(t) for t in (along, along**2 / 2.0, along**3 / 6.0, middle * along)])
     target = centred(aside)
@@ -151,3 +156,14 @@ def _local(
         unsure /= 1.0 + known
     tilt = float(np.arctan(solution[0]))
     return tilt, variance, float(solution[1]) * np.cos(tilt) ** 3, wander, unsure
+
+
+def _steady(vehicle: Index, time_s: Array, along: Array) -> Array:
+    """How far along vehicles are at a steady speed each; by vehicle."""
+    first = np.diff(vehicle, prepend=-1) != 0
+    of = np.cumsum(first) - 1
+    count = np.bincount(of)
+    middle_s, middle = np.bincount(of, time_s) / count, np.bincount(of, along) / count
+    time = time_s - middle_s[of]
+    speed = np.bincount(of, time * along) / np.maximum(np.bincount(of, time**2), 1e-9)
+    return np.asarray(middle[of] + speed[of] * time)

@@ -121,7 +121,7 @@ def sample_traffic(
             number = np.full(len(way), len(groups))
             ways.append(np.column_stack((number, time_s[way], ideal[:, way].T)))
             groups.append(int(votes.argmax()))
-    table, way = (np.concatenate([np.empty((0, 6)), *rows]) for rows in (found, ways))
+    table, boxes = (np.concatenate([np.empty((0, 6)), *rows]) for rows in (found, ways))
     points = (rows["flags"] & FLAG_GROUND_POINT) != 0
     return TrafficSamples(
         table[:, 0].astype(np.intp),
@@ -130,9 +130,9 @@ def sample_traffic(
         table[:, 2:].T,
         len(np.unique(rows["track_id"][vehicle])),
         float(points.mean()) if len(points) else 0.0,
-        way[:, 0].astype(np.intp),
-        way[:, 1],
-        way[:, 2:].T,
+        boxes[:, 0].astype(np.intp),
+        boxes[:, 1],
+        boxes[:, 2:].T,
     )
 
 
