@@ -152,7 +152,8 @@ def calibrate(
         placed = on_map is not grid or (known is not None and len(known.pixel) > 1)
         grid = on_map if placed else _without_north(grid)
         write_control_points(new_file, grid, _comments(camera, placed))
-        write_image(new_picture, draw_traffic_calibration(camera, grid, view))
+        with status("drawing the picture"):
+            write_image(new_picture, draw_traffic_calibration(camera, grid, view))
     _tell([*sentences(camera, grid, placed, known is not None), *where_said], out, picture)
 
 
