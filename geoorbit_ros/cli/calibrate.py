@@ -152,7 +152,8 @@ def calibrate(
         placed = on_map is not grid or (known is not None and len(known.pixel) > 1)
         grid = on_map if placed else _without_north(grid)
         write_control_points(new_file, grid, _comments(camera, placed))
-        write_image(new_picture, draw_traffic_calibration(camera, grid, view))
+        with status("drawing the picture"):
+            write_image(new_picture, draw_traffic_calibration(camera, grid, view))
     _tell([*sentences(camera, grid, placed, known is not None), *where_said], out, picture)
 
 
@@ -217,19 +218,22 @@ def sentences(
     camera: TrafficCalibration, grid: ControlPoints, placed: bool, with_points: bool
 ) -> list[str]:
     """What was found, and what would make it surer."""
+    from geoorbit_ros.calibration.traffic.doubts import doubts, scale_sigmas
     from geoorbit_ros.calibration.traffic.estimate import ODD_POINT_SIGMAS
     from geoorbit_ros.calibration.traffic.parameters import ROLL, TILT
 
     (focal, focal_s), (height, height_s) = camera.focal_px, camera.height_m
     (view, view_s), (tilt, tilt_s) = camera.field_of_view_deg, camera.degrees(TILT)
     roll, roll_s = camera.degrees(ROLL)
-    scale = grid.facts.scale_sigma
+    along, across = scale_sigmas(camera)
     found = [
         f"From {camera.vehicles} of {len(camera.samples.group)} vehicles:",
         f"  focal length {focal:.0f} ± {focal_s:.0f} px (field of view {view:.1f} ± {view_s:.1f}°)",
         f"  tilt {tilt:.1f} ± {tilt_s:.1f}° below the horizontal, roll {roll:.1f} ± {roll_s:.1f}°",
-        f"  height {height:.1f} ± {height_s:.1f} m; distances ± {100 * scale:.1f} %",
+        f"  height {height:.1f} ± {height_s:.1f} m",
+        f"  distances along the road ± {100 * along:.1f} %, across ± {100 * across:.1f} %",
         f"Lens: {camera.lens_sentence}.",
+        *doubts(camera),
     ]
     if camera.points_off > ODD_POINT_SIGMAS:
         found.append(
