@@ -40,10 +40,13 @@ def bend(sight_noise_m: float, changes_lane: bool = False) -> Places:
     return Places(places, np.array(vehicle), np.concatenate(time_s), np.concatenate(angle), noise)
 
 
-def at(turn: float) -> tuple[NDArray[np.float64], ...]:
+Array = NDArray[np.float64]
+
+
+def at(turn: float) -> tuple[Array, NDArray[np.int64], Array, Array]:
     here = np.array([[RADIUS_M * np.sin(turn)], [RADIUS_M * (1.0 - np.cos(turn))]])
     rough, noise = np.array([turn + np.radians(2.0)]), np.array([0.1])
-    return here, np.array([2]), rough, noise
+    return here, np.array([2], np.int64), rough, noise
 
 
 @pytest.mark.parametrize("turn", [-0.25, -0.1, 0.0, 0.2])
