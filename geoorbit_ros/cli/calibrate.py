@@ -124,7 +124,6 @@ def calibrate(
 
     Example: [bold]geoorbit calibrate north.mp4 --near 43.07,-89.40 --out calibration.csv[/bold]
     """
-    from geoorbit_ros.calibration.camera_info import read_camera_info
     from geoorbit_ros.calibration.control_point_writer import write_control_points
     from geoorbit_ros.calibration.traffic.control_grid import control_grid
     from geoorbit_ros.calibration.traffic.estimate import calibrate_from_traffic
@@ -136,15 +135,15 @@ def calibrate(
     picture = _checked_picture(picture, out, source, tracks, road_map, points, camera_info, image)
     origin = parse_datum(near, "--near")
     where = whereabouts(road_map, origin, near_sigma, looks, with_points=points is not None)
-    told_lens = read_camera_info(camera_info) if camera_info else None
+    camera_lens = _camera_lens(camera_info)
     with atomic_output(out) as new_file, atomic_output(picture) as new_picture:
         if tracks is not None:
-            read = read_options(fps, columns, classes, strict)
-            frames, size, view = _read(tracks, image_size, points, read)
+            told = read_options(fps, columns, classes, strict)
+            frames, size, view = _read(tracks, image_size, points, told)
         else:
             frames, size, view = _look(str(source), fps, duration, model, class_names, min_score)
         view = _view(image, size) if image else view
-        lens, known, datum = _given(points, told_lens, str(camera_info), origin, size, strict)
+        lens, known, datum = _given(points, camera_lens, str(camera_info), origin, size, strict)
         with status(f"fitting a camera to {len(frames)} frames"):
             camera = calibrate_from_traffic(frames, size, lens=lens, points=known)
         grid = control_grid(camera, datum, str(out))
@@ -154,7 +153,14 @@ def calibrate(
         write_control_points(new_file, grid, _comments(camera, placed))
         with status("drawing the picture"):
             write_image(new_picture, draw_traffic_calibration(camera, grid, view))
-    _tell([*sentences(camera, grid, placed, known is not None), *where_said], out, picture)
+    said = sentences(camera, grid, placed, known is not None)
+    _tell([*said, *where_said], out, picture)
+
+
+def _camera_lens(camera_info: Path | None) -> Lens | None:
+    from geoorbit_ros.calibration.camera_info import read_camera_info
+
+    return read_camera_info(camera_info) if camera_info else None
 
 
 def _tell(said: list[str], out: Path, picture: Path) -> None:
