@@ -133,13 +133,13 @@ def calibrate(
     from geoorbit_ros.storage.atomic import atomic_output
 
     picture = _checked_picture(picture, out, source, tracks, road_map, points, camera_info, image)
-    origin = parse_datum(near, "--near")
-    where = whereabouts(road_map, origin, near_sigma, looks, with_points=points is not None)
+    origin, pointed = parse_datum(near, "--near"), points is not None
+    where = whereabouts(road_map, origin, near_sigma, looks, with_points=pointed)
     camera_lens = _camera_lens(camera_info)
     with atomic_output(out) as new_file, atomic_output(picture) as new_picture:
         if tracks is not None:
-            told = read_options(fps, columns, classes, strict)
-            frames, size, view = _read(tracks, image_size, points, told)
+            options = read_options(fps, columns, classes, strict)
+            frames, size, view = _read(tracks, image_size, points, options)
         else:
             frames, size, view = _look(str(source), fps, duration, model, class_names, min_score)
         view = _view(image, size) if image else view
@@ -153,8 +153,7 @@ def calibrate(
         write_control_points(new_file, grid, _comments(camera, placed))
         with status("drawing the picture"):
             write_image(new_picture, draw_traffic_calibration(camera, grid, view))
-    said = sentences(camera, grid, placed, known is not None)
-    _tell([*said, *where_said], out, picture)
+    _tell([*sentences(camera, grid, placed, known is not None), *where_said], out, picture)
 
 
 def _camera_lens(camera_info: Path | None) -> Lens | None:
