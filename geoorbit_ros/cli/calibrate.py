@@ -129,8 +129,6 @@ def calibrate(
     from geoorbit_ros.calibration.traffic.control_grid import control_grid
     from geoorbit_ros.calibration.traffic.estimate import calibrate_from_traffic
     from geoorbit_ros.cli.console import status
-    from geoorbit_ros.report.image_overlay import write_image
-    from geoorbit_ros.report.traffic_calibration import draw_traffic_calibration
     from geoorbit_ros.storage.atomic import atomic_output
 
     picture = _checked_picture(picture, out, source, tracks, road_map, points, camera_info, image)
@@ -152,9 +150,22 @@ def calibrate(
         placed = on_map is not grid or (known is not None and len(known.pixel) > 1)
         grid = on_map if placed else _without_north(grid)
         write_control_points(new_file, grid, _comments(camera, placed))
-        with status("drawing the picture"):
-            write_image(new_picture, draw_traffic_calibration(camera, grid, view))
+        _draw(new_picture, camera, grid, view)
     _tell([*sentences(camera, grid, placed, known is not None), *where_said], out, picture)
+
+
+def _draw(
+    picture: Path,
+    camera: TrafficCalibration,
+    grid: ControlPoints,
+    view: NDArray[np.uint8] | None,
+) -> None:
+    from geoorbit_ros.cli.console import status
+    from geoorbit_ros.report.image_overlay import write_image
+    from geoorbit_ros.report.traffic_calibration import draw_traffic_calibration
+
+    with status("drawing the picture"):
+        write_image(picture, draw_traffic_calibration(camera, grid, view))
 
 
 def _tell(said: list[str], out: Path, picture: Path) -> None:
