@@ -9,7 +9,8 @@ A true box counts if it is at least 20 px high and moves: a quarter of it differ
 31 images. A box is right if it overlaps a true one by an IoU of 0.5. Recordings are seen once to
 learn, as `geoorbit detect` does.
 
-    python benchmarks/clips.py FOLDER [--names NAME,…] [--methods motion,mog2,knn] [--out FILE.json]
+    python benchmarks/clips.py FOLDER [--names NAME,…] [--methods network,…] [--seconds 60]
+        [--out FILE.json]
 """
 
 from __future__ import annotations
@@ -34,7 +35,9 @@ from scipy.optimize import linear_sum_assignment
 
 from geoorbit_ros.cli.console import console, make_progress
 from geoorbit_ros.cli.images import SPACING_S
+from geoorbit_ros.detection.detector import Detector
 from geoorbit_ros.detection.motion.detector import MotionDetector
+from geoorbit_ros.detection.network.detector import NetworkDetector
 from scores.detection_score import MATCH_IOU, box_corners, box_iou
 
 Array = NDArray[np.float64]
@@ -42,6 +45,7 @@ Image = NDArray[np.uint8]
 Find = Callable[[int, Image], Array]
 
 LONGEST_S = 60.0
+"""Of each film so much counts; `--seconds` takes less."""
 MIN_HEIGHT_PX = 20.0
 MOVING_SHARE = 0.25
 MOVING_CONTRAST = 26
@@ -78,8 +82,8 @@ class Outcome:
 class Film:
     """Images with stamps, and what is true in some of them."""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path, longest_s: float) -> None:
+        self.path, self.longest_s = path, longest_s
         video = cv2.VideoCapture(str(path))
         rate = video.get(cv2.CAP_PROP_FPS)
         self.fps = rate if 1.0 < rate < 130.0 else 25.0
@@ -90,7 +94,7 @@ class Film:
     def images(self, spacing_s: float = 0.0) -> Iterator[tuple[int, int, Image]]:
         """Number, stamp and image, at least `spacing_s` apart."""
         video, number, last_s = cv2.VideoCapture(str(self.path)), 0, -1e9
-        while (time_s := number / self.fps) < LONGEST_S:
+        while (time_s := number / self.fps) < self.longest_s:
             there, image = video.read()
             if not there:
                 return
@@ -121,9 +125,9 @@ def _boxes(file: Path) -> dict[int, Array]:
     return {frame: np.array(boxes).reshape(-1, 4) for frame, boxes in found.items()}
 
 
-def motion(film: Film) -> Find:
-    """The package's detector, which has seen the film once."""
-    detector = MotionDetector()
+def own(make: Callable[[], Detector], film: Film) -> Find:
+    """A detector of the package, which has seen the film once."""
+    detector = make()
     detector.warm_up((stamp_ns, image) for _, stamp_ns, image in film.images(SPACING_S))
     return lambda stamp_ns, image: box_corners(detector.detect(stamp_ns, image))
 
@@ -147,16 +151,17 @@ def library(make: Callable[[], cv2.BackgroundSubtractor], film: Film) -> Find:
 
 
 METHODS: dict[str, Callable[[Film], Find]] = {
-    "motion": motion,
+    "network": partial(own, NetworkDetector),
+    "motion": partial(own, MotionDetector),
     "mog2": partial(library, cv2.createBackgroundSubtractorMOG2),
     "knn": partial(library, cv2.createBackgroundSubtractorKNN),
 }
 
 
-def run(path: Path, methods: list[str]) -> list[Outcome]:
+def run(path: Path, methods: list[str], longest_s: float) -> list[Outcome]:
     """Every method on one film."""
     cv2.setNumThreads(1)
-    film = Film(path)
+    film = Film(path, longest_s)
     median = film.median()
     return [_score(film, median, method) for method in methods]
 
@@ -234,6 +239,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--names", help="comma between names of films; default: all with a truth")
+    parser.add_argument("--seconds", type=float, default=LONGEST_S, help="of each film that count")
     parser.add_argument("--methods", default=",".join(METHODS))
     parser.add_argument("--out", type=Path, help="also write the outcomes as JSON")
     parser.add_argument("--workers", type=int, default=2)
@@ -246,7 +252,7 @@ def main() -> None:
     outcomes: list[Outcome] = []
     with ProcessPoolExecutor(options.workers) as pool, make_progress() as progress:
         task = progress.add_task("finding vehicles", total=len(films))
-        for found in pool.map(partial(run, methods=methods), films):
+        for found in pool.map(partial(run, methods=methods, longest_s=options.seconds), films):
             outcomes += found
             progress.advance(task)
     show(outcomes, methods)

@@ -47,9 +47,10 @@ import numpy as np
 import yaml
 
 from geoorbit_ros.core.resources import share_path
+from geoorbit_ros.core.state_file import StateFile
 from geoorbit_ros.federated.keys import Signer
 from geoorbit_ros.federated.payloads.model_layout import ModelLayout
-from geoorbit_ros.federated.rounds.server_state import Answers, read_checkpoint
+from geoorbit_ros.federated.rounds.server_state import KIND, Answers, read_checkpoint
 from geoorbit_ros.learning.meta_learner import MetaLearner
 
 CAMERAS = ("north", "south", "west", "east")
@@ -436,7 +437,7 @@ def run(
             process.send_signal(signal.SIGKILL)
             process.wait(10.0)
     layout = ModelLayout.of(MetaLearner.untrained(0).tensors())
-    state = read_checkpoint(folder / "server.npz", layout, Answers(()))
+    state = read_checkpoint(StateFile(folder / "server.npz", KIND), layout, Answers(()))
     if state is None or not state.finished:
         raise SystemExit((folder / "server.log").read_text())
     updates = [record.updates for record in state.history]

@@ -1,11 +1,12 @@
-"""Vehicles found by motion alone on rendered day scenes, against the exact truth.
+"""Vehicles found without a YOLO model on rendered day scenes, against the exact truth.
 
 Each scene is filmed for a minute as the end-to-end measurement does it, written as video and read
 again; the detector first sees the recording once to learn the road, as `geoorbit detect` does it.
 Recall and precision are those within the useful range (`scores.detection_score`):
 boxes at least 16 px high in an image 1280 wide, of vehicles at least half visible.
 
-    python benchmarks/motion.py [--scenes NAME,…] [--seeds 1,…] [--cache FOLDER] [--every 1]
+    python benchmarks/motion.py [--detector network|motion] [--scenes NAME,…] [--seeds 1,…]
+        [--cache FOLDER] [--every 1]
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from end_to_end import filmed
 from geoorbit_ros.cli.console import error_console, make_progress
 from geoorbit_ros.cli.images import warm_up_detector
 from geoorbit_ros.core.tables import FLAG_TRUNCATED, PIXEL_TRACK_DTYPE
-from geoorbit_ros.detection.motion.detector import MotionDetector
+from geoorbit_ros.detection.detector import make_detector
 from geoorbit_ros.scenes.scene import shipped_scenes
 from geoorbit_ros.storage.frames.open_source import open_frame_source
 from geoorbit_ros.storage.mot_text import read_mot_tracks
@@ -66,13 +67,13 @@ def with_flags(rows: NDArray[np.void], size: tuple[int, int]) -> NDArray[np.void
     return table
 
 
-def run_film(film: tuple[str, int], cache: Path, every: int) -> Outcome:
+def run_film(film: tuple[str, int], cache: Path, every: int, detector_name: str) -> Outcome:
     """Find the vehicles of one film."""
     cv2.setNumThreads(1)
     folder = filmed(*film, cache)
     truth = dict(iter(read_mot_tracks(folder / "tracks.txt")))
     nothing = np.empty(0, PIXEL_TRACK_DTYPE)
-    detector, score, times = MotionDetector(), DetectionScore(), []
+    detector, score, times = make_detector(Path(detector_name)), DetectionScore(), []
     with open_frame_source(str(folder / "video.mp4")) as video:
         warm_up_detector(detector, video, None)
         for number, (stamp_ns, image) in enumerate(video, 1):
@@ -107,6 +108,7 @@ def _shares(outcome: Outcome) -> tuple[float, float]:
 def main() -> None:
     day = [name for name in shipped_scenes() if name != NIGHT]
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--detector", default="network", choices=("network", "motion"))
     parser.add_argument("--scenes", help="comma between names; default: all shipped day scenes")
     parser.add_argument("--seeds", default="1", help="comma between numbers")
     parser.add_argument("--cache", type=Path, help="keep the videos here and use them again")
@@ -123,7 +125,7 @@ def main() -> None:
         cache = options.cache or Path(scratch)
         task = progress.add_task("filming and finding vehicles", total=len(films))
         outcomes = {}
-        work = partial(run_film, cache=cache, every=options.every)
+        work = partial(run_film, cache=cache, every=options.every, detector_name=options.detector)
         for film, outcome in zip(films, pool.map(work, films), strict=True):
             outcomes[film] = outcome
             recall, precision = _shares(outcome)
@@ -132,7 +134,7 @@ def main() -> None:
     show(outcomes)
     worst = np.array([_shares(outcome) for outcome in outcomes.values()]).min(axis=0)
     for what, share in zip(("recall", "precision"), worst, strict=True):
-        name = f"motion, rendered day: 0.9 / {what} of the worst scene"
+        name = f"{options.detector}, rendered day: 0.9 / {what} of the worst scene"
         print(json.dumps({"name": name, "ratio": round(NEEDED / share, 4), "limit": 1.0}))
 
 

@@ -14,7 +14,7 @@ from geoorbit_ros.calibration.box_projector import BoxProjector
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.polylines import project
-from geoorbit_ros.core.tables import TRACK_DTYPE, Frames
+from geoorbit_ros.core.tables import Frames
 from geoorbit_ros.scenes.roads import PlacedRoad, place_roads
 from geoorbit_ros.scenes.scene import Scene
 from geoorbit_ros.scenes.simulate import START_NS, SceneRun, scene_camera, simulate
@@ -57,12 +57,7 @@ class Planted:
 def ground_tracks(run: SceneRun) -> Frames:
     """The run's boxes on the road, by a calibration with the surveyor's errors."""
     projector = BoxProjector(fit_homography(run.control_points), run.image_size)
-    tables = [
-        projector.project(stamp_ns, run.frames.frame(k))
-        for k, stamp_ns in enumerate(run.frames.stamp_ns.tolist())
-    ]
-    offset = np.append(0, np.cumsum([len(table) for table in tables])).astype(np.int64)
-    return Frames(run.frames.stamp_ns, offset, np.concatenate(tables).astype(TRACK_DTYPE))
+    return projector.project_block(run.frames)
 
 
 def at_rate(scene: Scene, fps: float) -> Scene:
@@ -163,13 +158,17 @@ def queue(scene: Scene, seed: int) -> Planted:
     return replace(planted, lane_ids=queued_lanes(planted.run))
 
 
+HIDDEN_S = 4.0
+"""A queue is the same one if the detector sees fewer than three for that long (`queues`)."""
+
+
 def queued_lanes(run: SceneRun) -> tuple[int, ...]:
-    """Lanes in which the detector sees a queue for 15 s."""
+    """Lanes in which the detector sees one queue for 15 s, without the times that it is hidden."""
     return tuple(lane.lane_id for lane in run.truth if true_queue(run, lane)[1] >= 15.0)
 
 
 def true_queue(run: SceneRun, lane: Lane) -> tuple[dict[float, float], float]:
-    """Tail along the lane by time, while the detector sees three who wait; for how long."""
+    """Tail along the lane by time, while the detector sees three who wait; for how long at most."""
     rows = run.clean.rows
     place = np.column_stack((rows["x"], rows["y"])).astype(np.float64)
     at = project(place, lane.centerline_m)
@@ -186,7 +185,14 @@ def true_queue(run: SceneRun, lane: Lane) -> tuple[dict[float, float], float]:
         count = len(arc) if joined.all() else int(np.argmin(joined))
         if count >= 3:
             tails[float(stamps[a] - START_NS) * 1e-9] = float(rear[count - 1])
-    return tails, len(tails) / run.scene.camera.fps
+    begin = np.flatnonzero(np.diff(list(tails), prepend=-np.inf) > HIDDEN_S)
+    frames = np.diff(np.append(begin, len(tails)))
+    return tails, int(frames.max(initial=0)) / run.scene.camera.fps
+
+
+RIGHT_WAY = 5
+"""So many vehicles drove in the lane, or beside it, before one drives backwards: from fewer nobody
+knows which way a lane leads (`wrong_way.WITH_VEHICLES`)."""
 
 
 def wrong_way(scene: Scene, seed: int) -> Planted:
@@ -196,8 +202,11 @@ def wrong_way(scene: Scene, seed: int) -> Planted:
     duration_s = 150.0
     record = simulate_traffic(scene, placed, duration_s, seed)
     candidates = long_enough(lanes)
+    early = (record.step >= 0) & (record.step < 900)
     for k in random.permutation(candidates).tolist():
         lane = lanes[k].lane
+        if sum(_passing(record, lanes, k, early)) < RIGHT_WAY:
+            continue
         at = project(record.xy, lane.centerline_m)
         inside = at.inside & (np.abs(at.offset_m) < 1.0)
         inside &= (record.step > 900) & (record.step < 1400)
@@ -252,41 +261,61 @@ def without(record: TrafficRecord, rows: NDArray[np.bool_]) -> TrafficRecord:
 
 
 ENOUGH = 36
-"""A lane is closed if so many came in the first four minutes: in the six after them as many more
-stay away as it takes to say so (`lane_flow.BY_CHANCE_S`)."""
+"""A lane is closed if so many drove in it in the first four minutes: its share is known by them."""
+STAY_AWAY = 80
+"""And if so many stay away then, by its share before, while as many drive beside it. Who sees every
+vehicle needs 52 to be sure to what chance does once in ten years (`lane_flow.BY_CHANCE_S`)."""
+FLOWS = 0.7
+"""The lanes beside carry at least this share of their flow before. Who used the closed lane is
+taken out of the traffic; where that were most of it, a road would be closed and no lane."""
+OPEN_S, CLOSED_S = 240.0, 840.0
 
 
 def closed_lane(scene: Scene, seed: int) -> Planted:
     """From 240 s on nobody drives in a lane that has others beside it."""
     random = np.random.default_rng([seed, 24])
     placed, lanes = lanes_in_view(scene)
-    duration_s = 600.0
+    duration_s = OPEN_S + CLOSED_S
     record = simulate_traffic(scene, placed, duration_s, seed)
-    begin = round(240.0 / STEP_S)
+    begin = round(OPEN_S / STEP_S)
     options = [k for k in long_enough(lanes) if _beside(lanes, k)]
     for k in random.permutation(options).tolist():
+        own, beside = _passing(record, lanes, k, record.step < begin)
+        if own < ENOUGH or not beside:
+            continue
         at = project(record.xy, lanes[k].lane.centerline_m)
         inside = at.inside & (np.abs(at.offset_m) < 0.5 * lanes[k].lane.width_m)
-        if len(np.unique(record.vehicle[inside & (record.step < begin)])) < ENOUGH:
-            continue
         gone = np.unique(record.vehicle[inside & (record.step >= begin)])
         rows = np.isin(record.vehicle, gone) & (record.step >= begin)
         early = np.unique(record.vehicle[rows & inside & (record.step < begin + 50)])
         edited = without(record, rows & ~np.isin(record.vehicle, early))
-        if _vehicles_beside(edited, lanes, k, begin) < ENOUGH:
-            continue  # all of them used this lane somewhere: none are left
-        ids = [lanes[k].lane.lane_id]
-        return finish(scene, edited, duration_s, seed, ids, (np.nan, np.nan), (240.0, duration_s))
+        _, then = _passing(edited, lanes, k, edited.step >= begin)
+        if then / CLOSED_S < FLOWS * beside / OPEN_S:
+            continue
+        if min(own * then / beside, then) < STAY_AWAY:
+            continue
+        ids, span = [lanes[k].lane.lane_id], (OPEN_S, duration_s)
+        return finish(scene, edited, duration_s, seed, ids, (np.nan, np.nan), span)
     return finish(scene, record, duration_s, seed, [], (np.nan, np.nan), (0.0, 0.0))
 
 
-def _vehicles_beside(record: TrafficRecord, lanes: list[VisibleLane], k: int, begin: int) -> int:
-    """How many drive in the lanes beside one, from a step on."""
-    inside = np.zeros(len(record.step), np.bool_)
-    for j in _beside(lanes, k):
-        at = project(record.xy, lanes[j].lane.centerline_m)
-        inside |= at.inside & (np.abs(at.offset_m) < 1.5)
-    return len(np.unique(record.vehicle[inside & (record.step >= begin)]))
+def _passing(
+    record: TrafficRecord, lanes: list[VisibleLane], k: int, when: NDArray[np.bool_]
+) -> tuple[int, int]:
+    """How many pass the middle of a lane in it, and in those beside it."""
+    middle = point_of(lanes[k].lane, 0.5)
+    near = when & (np.hypot(*(record.xy - middle).T) < 10.0)
+    place, vehicle = record.xy[near], record.vehicle[near]
+
+    def within(j: int) -> NDArray[np.int64]:
+        at = project(place, lanes[j].lane.centerline_m)
+        return np.asarray(
+            vehicle[at.inside & (np.abs(at.offset_m) < 0.5 * lanes[j].lane.width_m)], dtype=np.int64
+        )
+
+    own = np.unique(within(k))
+    beside = np.unique(np.concatenate([own[:0], *(within(j) for j in _beside(lanes, k))]))
+    return len(own), len(np.setdiff1d(beside, own))
 
 
 def _beside(lanes: list[VisibleLane], k: int) -> list[int]:

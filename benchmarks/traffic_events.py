@@ -74,10 +74,13 @@ def is_real(row: NDArray[np.void], record: TrafficRecord, lanes: tuple[Lane, ...
     if row["kind"] == EventKind.QUEUE:
         return int(((near < 40.0) & (record.speed[now] < 3.0)).sum()) >= 3
     if row["kind"] == EventKind.SPEED_DROP:
-        recent = (record.step * STEP_S < stamp_s) & (record.step * STEP_S > stamp_s - 30.0)
-        close = recent & (np.hypot(*(record.xy - place).T) < 10.0)
-        slow: bool = np.median(record.speed[close]) < 0.75 * row["usual_mps"]
-        return slow
+        since = record.step * STEP_S > float(seconds(row["first_ns"])) - 1.0
+        close = since & (record.step * STEP_S < stamp_s)
+        close &= np.hypot(*(record.xy - place).T) < 10.0
+        close[close] = np.abs(across(record.xy[close], row, lanes)) < 1.5
+        _, vehicle = np.unique(record.vehicle[close], return_inverse=True)
+        mean = np.bincount(vehicle, record.speed[close]) / np.bincount(vehicle)
+        return float(np.median(mean)) < 0.75 * float(row["usual_mps"])
     if row["kind"] == EventKind.LANE_UNUSED:
         since = (record.step * STEP_S > float(seconds(row["first_ns"])) + 1.0) & (
             record.step * STEP_S < stamp_s
@@ -197,8 +200,8 @@ def run_planted(first: int, runs: int, kinds: list[str], cache: Path | None) -> 
                     "runs_without": sum(not result[0] for result in results),
                     "ratio": round(1.0 - found / max(due, 1), 4),
                     "limit": 0.05,
-                    "delay_median_s": round(float(np.median(delays or [np.nan])), 1),
-                    "delay_most_s": round(max(delays, default=np.nan), 1),
+                    "delay_median_s": round(float(np.nanmedian(delays or [np.nan])), 1),
+                    "delay_most_s": round(float(np.nanmax(delays or [np.nan])), 1),
                     "place_error_median_m": round(float(np.median(errors or [np.nan])), 1),
                     "false": sum(result[4] for result in results),
                 }

@@ -35,6 +35,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.calibration.lens import Lens
 from geoorbit_ros.calibration.plane import RoadPlane
+from geoorbit_ros.core.bounded_json import MAX_TEXT
 from geoorbit_ros.core.cdr import ENCAPSULATION, SECOND_NS, CdrReader, CdrWriter, with_stamp
 from geoorbit_ros.core.errors import CalibrationError, MessageError
 from geoorbit_ros.core.lanes import Lane, LaneMap
@@ -125,8 +126,10 @@ def decode_string(cdr: bytes, place: str) -> str:
     """The text in a serialised `std_msgs/String`.
 
     Raises:
-        MessageError: Bytes that are none.
+        MessageError: Bytes that are none, or more than any text has.
     """
+    if len(cdr) > MAX_TEXT:
+        raise MessageError(place, f"{len(cdr)} bytes", f"a text of {MAX_TEXT} bytes at most")
     return CdrReader(cdr, place, "a std_msgs/String").text()
 
 
@@ -418,13 +421,14 @@ def lane_markers(lane_map: LaneMap, frame_id: str) -> MarkerArray:
     """Lines, an arrow along the direction of travel and a label for every lane.
 
     The first marker deletes all older ones, so that vanished lanes vanish, also for a late joiner
-    who sees this message alone. Confirmed lanes are opaque, tentative ones faint. Boundaries on
-    paint are drawn as it is: dashed (a LINE_LIST), yellow.
+    who sees this message alone. Confirmed lanes are opaque, tentative ones faint, and so are lanes
+    that are held, whose label says it. Boundaries on paint are drawn as it is: dashed (a
+    LINE_LIST), yellow.
     """
     header = Header(stamp=time_from_ns(lane_map.stamp_ns), frame_id=frame_id)
     markers = [Marker(header=header, action=Marker.DELETEALL)]
     for lane in lane_map.lanes:
-        alpha = 1.0 if lane.status == "confirmed" else 0.3
+        alpha = 1.0 if lane.status == "confirmed" and not lane_map.held else 0.3
         for role, line, edge in (
             ("centerline", lane.centerline_m, None),
             ("left", lane.left_m, lane.left_edge),
@@ -451,7 +455,8 @@ def lane_markers(lane_map: LaneMap, frame_id: str) -> MarkerArray:
         label = _marker(header, "label", lane.lane_id, Marker.TEXT_VIEW_FACING, amber)
         label.pose.position = Point(x=x, y=y, z=2.0)
         label.scale.z = 2.0
-        label.text = f"{lane.lane_id} ({lane.width_m:.1f} m)"
+        held = ", held" if lane_map.held else ""
+        label.text = f"{lane.lane_id} ({lane.width_m:.1f} m{held})"
         markers += [arrow, label]
     return MarkerArray(markers=markers)
 

@@ -174,10 +174,12 @@ class GroundFilter:
                 boxes.whole[row] & ground.good[row] & ~np.isnan(motion[HEADING, learnt]),
             )
             sizes[:, learnt] = of_these
-        self._move(motion, at, boxes, ground)
+        other = self._move(motion, at, boxes, ground).nonzero()[0]
+        if len(other):  # what was learnt of the vehicle before says nothing of this one
+            start_sizes(sizes, other, boxes.time_s[at][other], boxes.group[at][other])
 
-    def _move(self, motion: Array, at: slice, boxes: Boxes, ground: GroundRows) -> None:
-        """Velocities and headings after the rows `at`.
+    def _move(self, motion: Array, at: slice, boxes: Boxes, ground: GroundRows) -> Mask:
+        """Velocities and headings after the rows `at`; which tracks jumped to another vehicle.
 
         While a vehicle's size is being learnt its ground point shifts, which isn't motion. The
         image of its body's centre on a plane of fixed height doesn't shift, and another height
@@ -193,5 +195,7 @@ class GroundFilter:
             middle = np.where(boxes.solid[at], ground.size[2, at] / 2, PATH_HEIGHT_M)
             scale = (height - middle) / (height - PATH_HEIGHT_M)
             path = below + (path - below) / scale
-        velocity, ground.heading[at] = follow(motion, boxes.time_s[at], path, noise, observed)
+        time_s = boxes.time_s[at]
+        velocity, ground.heading[at], jumped = follow(motion, time_s, path, noise, observed)
         ground.velocity[:, at] = velocity * scale
+        return jumped

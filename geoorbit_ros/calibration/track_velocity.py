@@ -37,7 +37,7 @@ ROWS = 12
 
 def follow(
     s: Array, time_s: Array, xy: Array, sigma_m: Array, observed: NDArray[np.bool_]
-) -> tuple[Array, Array]:
+) -> tuple[Array, Array, NDArray[np.bool_]]:
     """One step of constant-velocity Kalman filters, one per vehicle.
 
     Both axes share one 2x2 covariance because the measurement noise is taken as isotropic with
@@ -54,7 +54,7 @@ def follow(
 
     Returns:
         Velocity (2, M) in m/s, NaN before the first observation, and heading (M,), NaN until the
-        vehicle has moved; views of the state.
+        vehicle has moved; views of the state. (M,) whether the id jumped to another vehicle.
     """
     r = np.where(observed, sigma_m**2 + MODEL_SIGMA_M**2, 1e12)
     dt = time_s - s[TIME]
@@ -89,4 +89,4 @@ def follow(
     left = away > MIN_MOVE_M + SIGNIFICANCE * np.sqrt(s[PP] + s[R0])
     turn = moving & (left | np.isfinite(s[HEADING]))
     np.copyto(s[HEADING], np.arctan2(s[VY], s[VX]), where=turn)
-    return s[VX : VY + 1], s[HEADING]
+    return s[VX : VY + 1], s[HEADING], observed & jumped & ~unknown

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import astuple
-from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -83,17 +82,13 @@ def _show_views(database: Path) -> None:
     """What happened to the cameras' views, in sentences: the latest of each camera."""
     from geoorbit_ros.cli.console import say
     from geoorbit_ros.storage.database.reader import TrajectoryReader
-    from geoorbit_ros.view.timeline import stretch_of
+    from geoorbit_ros.view.timeline import stretch_of, utc_text
 
     with TrajectoryReader(database) as reader:
         for camera in reader.cameras():
             events = [stretch_of(*astuple(k)) for k in reader.view_events(camera.camera_id)]
             for event in [k for k in events if k.told][-VIEWS_SHOWN:]:
-                say(f"{camera.camera_id}: {event.sentence(_utc_text)}")
-
-
-def _utc_text(stamp_ns: int) -> str:
-    return datetime.fromtimestamp(stamp_ns / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+                say(f"{camera.camera_id}: {event.sentence(utc_text)}")
 
 
 def _event_count(reader: TrafficReader, series: SeriesName) -> int:
@@ -303,3 +298,72 @@ def _stored_maps(reader: TrajectoryReader, camera_id: str) -> LanesOverTime:
         lambda stamp_ns: reader.lane_maps(camera_id, stamp_ns, stamp_ns + 1)[0][1],
         f"{reader.path}, lane map of {camera_id}",
     )
+
+
+@app.command("delete")
+def delete(
+    database: DatabaseArgument,
+    camera_id: Annotated[str, typer.Option("--camera", "--camera-id", help="Of this camera.")],
+    start: Annotated[str | None, typer.Option("--from", metavar="TIME", help=_TIME_HELP)] = None,
+    end: Annotated[
+        str | None, typer.Option("--to", metavar="TIME", help="Up to here, not included.")
+    ] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
+) -> None:
+    """Delete what a camera recorded in a time: tracks, lane maps, vehicles, intervals, events.
+
+    The recorder may go on meanwhile. What is deleted is overwritten in the file; backups and
+    exports keep it.
+
+    Example: [bold]geoorbit db delete trajectories.db --camera north --from 2026-05-01T06:00
+    --to 2026-05-01T07:00 --yes[/bold]
+    """
+    from geoorbit_ros.cli.console import count_of, parse_time
+    from geoorbit_ros.storage.database.maintenance import delete as delete_part
+
+    start_ns = -(2**62) if start is None else parse_time(start, "option --from")
+    end_ns = 2**62 if end is None else parse_time(end, "option --to")
+    if start_ns >= end_ns:
+        raise ParameterError("options --from and --to", f"{start} to {end}", "a time that lasts")
+    if not yes:
+        span = f"from {start or 'the beginning'} to {end or 'the end'}"
+        typer.confirm(f"Delete all of '{camera_id}' {span}?", abort=True)
+    gone = delete_part(database, camera_id, start_ns, end_ns)
+    typer.echo(
+        f"{database}: deleted {count_of(gone.frames, 'frame')},"
+        f" {count_of(gone.lane_maps, 'lane map')}, {count_of(gone.traffic_rows, 'traffic row')}"
+    )
+
+
+@app.command("backup")
+def backup(
+    database: DatabaseArgument,
+    out: Annotated[Path, typer.Option(help="New file.")],
+) -> None:
+    """Copy a database as it is at one moment, also while recorders write.
+
+    Example: [bold]geoorbit db backup trajectories.db --out saved.db[/bold]
+    """
+    from geoorbit_ros.cli.console import format_size, make_progress
+    from geoorbit_ros.storage.database.maintenance import backup as copy
+
+    with make_progress() as progress:
+        task = progress.add_task(f"writing {out.name}", total=None)
+        copy(database, out, lambda done, all_: progress.update(task, completed=done, total=all_))
+    typer.echo(f"{out}: {format_size(out.stat().st_size)}")
+
+
+@app.command("restore")
+def restore(
+    saved: Annotated[Path, typer.Argument(help="A backup.")],
+    database: Annotated[Path, typer.Argument(help="Where no database is.")],
+) -> None:
+    """Check a backup and put it where a recorder can go on with it.
+
+    Example: [bold]geoorbit db restore saved.db trajectories.db[/bold]
+    """
+    from geoorbit_ros.cli.console import format_size
+    from geoorbit_ros.storage.database.maintenance import restore as put_back
+
+    put_back(saved, database)
+    typer.echo(f"{database}: {format_size(database.stat().st_size)}")

@@ -57,7 +57,8 @@ def detect(
 ) -> None:
     """Find the vehicles in every image of a camera.
 
-    Without a model, the camera must stand still: everything that moves on the road is a vehicle.
+    Without a model, the camera must stand still: the package's own network
+    sees each image beside the empty road.
     A recording is looked at twice, first to learn the road. With [bold]--model[/bold], any YOLO
     export to ONNX (v8, v10, 11, 12, 26, YOLOX) does. Ctrl-C keeps what was found so far;
     [bold]--resume[/bold] goes on from there.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import time
-import zipfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.cli.images import LONGEST_S, ImageOptions, open_camera, warm_up_detector
 from geoorbit_ros.cli.signals import Interrupted, told_to_end
+from geoorbit_ros.core.array_file import read_arrays
 from geoorbit_ros.core.errors import (
     GeoOrbitError,
     InputFileError,
@@ -80,10 +80,10 @@ class KeptBoxes:
             expected = f"{self.file}, which a run that ends early leaves"
             raise ParameterError("option --resume", "no such run", expected)
         try:
-            with np.load(self.file, allow_pickle=False) as content:
-                before = json.loads(str(content["settings"]))
-                stamps, counts, rows = (content[key] for key in ("stamp_ns", "count", "rows"))
-        except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+            content = read_arrays(self.file, "what a run that ended early has left")
+            before = json.loads(str(content["settings"]))
+            stamps, counts, rows = (content[key] for key in ("stamp_ns", "count", "rows"))
+        except (InputFileError, OSError, ValueError, KeyError) as error:
             expected = "what a run that ended early has left; run again without --resume"
             raise InputFileError(str(self.file), f"{type(error).__name__}", expected) from None
         for key, value in self._settings.items():

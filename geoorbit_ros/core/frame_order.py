@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections import deque
 from enum import Enum
 from statistics import median
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.core.errors import MessageError
 from geoorbit_ros.core.input_report import InputReport, Treatment
 
 RESTART_NS = 1_000_000_000
@@ -29,16 +31,33 @@ _MAX_GAP = 1000
 minute at 15 frames per second; larger counts pauses as losses, smaller misses long ones."""
 
 
+LEAP_NS = 60_000_000_000
+"""A stamp later than the last by more than this is believed once another frame follows it. Chosen:
+a minute's pause delays one frame; larger lets a wrong stamp through that ends a sequence."""
+_LEAP_INTERVALS = 3
+"""Where the usual interval is that long, so many of them are no leap."""
+
+
 class Arrival(Enum):
     """What a frame's stamp says about it."""
 
     NEXT = "next"
     LATE = "late"
     RESTART = "restart"
+    ODD = "odd"
+    """Far before or after its neighbours, and none followed it."""
 
 
-class FrameOrder:
-    """Checks stamps one by one.
+Frame = TypeVar("Frame")
+Arrivals = list[tuple[Arrival, int, Frame]]
+
+
+class FrameOrder(Generic[Frame]):
+    """Puts frames in order by their stamps, one by one.
+
+    A stamp that leaps, forward or back, may be a pause, a source that starts again, or one wrong
+    stamp. Its frame waits for the next one, which says what it was: so one wrong stamp does not
+    end a sequence.
 
     Args:
         restart_jump_s: A stamp earlier than the last by more than this begins a new sequence.
@@ -53,9 +72,35 @@ class FrameOrder:
         self.missing = 0
         self._jump_ns = round(restart_jump_s * 1e9)
         self._intervals: deque[int] = deque(maxlen=_INTERVALS)
+        self._held: tuple[int, Frame] | None = None
 
-    def check(self, stamp_ns: int) -> Arrival:
-        """Whether a frame with this stamp comes next, too late (or twice), or begins anew."""
+    def take(self, stamp_ns: int, frame: Frame) -> Arrivals[Frame]:
+        """Take a frame.
+
+        Returns:
+            The frames of which it is decided now, in order: this one, the one before that waited,
+            both or none.
+        """
+        decided: Arrivals[Frame] = []
+        last, held, self._held = self.last_ns, self._held, None
+        if held is not None and last is not None:
+            follows = held[0] < stamp_ns and stamp_ns - held[0] < abs(stamp_ns - last)
+            decided.append((self._accept(held[0]) if follows else Arrival.ODD, *held))
+        if self._leaps(stamp_ns):
+            self._held = stamp_ns, frame
+        else:
+            decided.append((self._accept(stamp_ns), stamp_ns, frame))
+        return decided
+
+    def _leaps(self, stamp_ns: int) -> bool:
+        if self.last_ns is None:
+            return False
+        interval = stamp_ns - self.last_ns
+        usual = median(self._intervals) if self._intervals else 0
+        return interval < -self._jump_ns or interval > max(LEAP_NS, _LEAP_INTERVALS * usual)
+
+    def _accept(self, stamp_ns: int) -> Arrival:
+        """Whether a frame comes next, too late (or twice), or begins anew."""
         last = self.last_ns
         if last is None:
             self.last_ns = stamp_ns
@@ -72,6 +117,20 @@ class FrameOrder:
             self.missing += gap if gap <= _MAX_GAP else 0
         self._intervals.append(interval)
         return Arrival.NEXT
+
+
+def order_fault(
+    arrival: Arrival, stamp_ns: int, last_ns: int | None, place: str
+) -> MessageError | None:
+    """What is wrong with a frame that is not used; None for one that is."""
+    last_s = (stamp_ns if last_ns is None else last_ns) / 1e9
+    if arrival is Arrival.LATE:
+        found = f"stamp {stamp_ns / 1e9:.9f} s after {last_s:.9f} s"
+        return MessageError(place, found, "stamps that increase")
+    if arrival is Arrival.ODD:
+        found = f"one stamp {stamp_ns / 1e9:.3f} s among others near {last_s:.3f} s"
+        return MessageError(place, found, "stamps that go on from the last")
+    return None
 
 
 def capture_times(
@@ -104,6 +163,7 @@ def capture_times(
             f"{absent.sum()} of {len(times)} messages have no time of capture; received times count"
         )
         report.note(Treatment.REPAIRED, text, f"message {np.argmax(absent) + 1}")
+    times = _without_odd(times, received_ns, report)
     run = _runs(times)
     if run[-1] > CONTRADICTION_SHARE * len(run):
         text = "stamps and times of receipt contradict each other; times of receipt count"
@@ -114,6 +174,22 @@ def capture_times(
         text = f"{late.sum()} of {len(times)} messages came after others of a later time; sorted"
         report.note(Treatment.REPAIRED, text, f"message {np.argmax(late) + 2}")
     return _one_after_the_other(times, run, received_ns, report), run
+
+
+def _without_odd(times: Stamps, received_ns: Stamps, report: InputReport) -> Stamps:
+    """Times in which one far from both its neighbours, which lie together, is repaired."""
+    before, here, after = times[:-2], times[1:-1], times[2:]
+    near = np.abs(after - before) <= LEAP_NS
+    odd = 1 + np.flatnonzero(
+        near & (np.abs(here - before) > LEAP_NS) & (np.abs(here - after) > LEAP_NS)
+    )
+    if not len(odd):
+        return times
+    text = f"{len(odd)} of {len(times)} messages have a time far from those around them; repaired"
+    report.note(Treatment.REPAIRED, text, f"message {odd[0] + 1}")
+    times = times.copy()
+    times[odd] = times[odd - 1] + np.maximum(received_ns[odd] - received_ns[odd - 1], 1)
+    return times
 
 
 def _one_after_the_other(

@@ -90,15 +90,15 @@ def make_detector(model: Path | None = None, settings: DetectorSettings | None =
     """The detector that a user names.
 
     Args:
-        model: An `.onnx` file, the name of a registered detector, or `FILE.py:CLASS`; None finds
-            moving vehicles by background subtraction.
+        model: An `.onnx` file, the name of a registered detector, or `FILE.py:CLASS`; None takes
+            the package's own network.
         settings: All other settings.
 
     Raises:
         ModelError: A model that can't be used.
         ParameterError: An execution provider that is not there, or a file without such a class.
     """
-    name = "motion" if model is None else str(model)
+    name = "network" if model is None else str(model)
     if not (plugins.is_file(name) or name in plugins.registered("detector")):
         name = "yolo"
     settings = replace(settings or DetectorSettings(), model=model)

@@ -17,6 +17,9 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import (
 from geoorbit_ros.federated.errors import FederationError, PayloadError, Refusal
 from geoorbit_ros.federated.payloads.header import SIGNATURE_BYTES, UNSIGNED
 
+UNSIGNED_WORD = "unsigned"
+"""In a roster, in the place of a key: the camera's updates are taken without signatures."""
+
 
 class Signer:
     """Signs the payloads of one federation (RFC 8032, Ed25519).
@@ -153,15 +156,20 @@ class Roster:
 
     Args:
         members: In any order; it does not matter.
+        server: Public key of the server, which no camera may have; None: it has none.
 
     Raises:
-        FederationError: No members, or two of one name, key or number.
+        FederationError: No members, two of one name, key or number, or a camera with the name or
+            the key of the server.
     """
 
-    def __init__(self, members: Iterable[Member]) -> None:
+    def __init__(self, members: Iterable[Member], server: bytes | None = None) -> None:
         self._members: dict[int, Member] = {}
         names: set[str] = set()
         for member in members:
+            if server is not None and member.public == server:
+                found = f"'{member.camera_id}' with the server's key"
+                raise FederationError("roster", found, "a key of its own for each camera")
             if member.id in self._members or member.camera_id in names:
                 found = f"'{member.camera_id}' twice, or two keys of the number {member.id}"
                 raise FederationError("roster", found, "one entry and one key per camera")
@@ -171,13 +179,14 @@ class Roster:
             raise FederationError("roster", "no camera", "at least one")
 
     @classmethod
-    def read(cls, path: str | Path) -> Roster:
+    def read(cls, path: str | Path, server: bytes | None = None) -> Roster:
         """A text file with one camera per line: its name and its public key in 64 hex digits.
 
-        A line with a name alone admits the camera without signatures. `#` begins a comment.
+        `NAME unsigned` admits a camera without signatures, in whose name anybody can send; a line
+        with a name alone does not: it is a key that was forgotten. `#` begins a comment.
 
         Raises:
-            FederationError: Naming file and line.
+            FederationError: Naming file and line; and as the class.
         """
         members = []
         try:
@@ -187,15 +196,22 @@ class Roster:
         for number, line in enumerate(lines, 1):
             words = line.partition("#")[0].split()
             place = f"{path}, line {number}"
-            if len(words) > 2:
-                raise FederationError(place, f"{len(words)} words", "a name and a public key")
+            if words and len(words) != 2:
+                found = "a name without a key" if len(words) == 1 else f"{len(words)} words"
+                expected = f"a name and a public key, or '{words[0]} {UNSIGNED_WORD}'"
+                raise FederationError(place, found, expected)
             if words:
-                public = _from_hex(words[1], place) if len(words) == 2 else None
-                members.append(Member(words[0], public))
-        return cls(members)
+                signed = words[1] != UNSIGNED_WORD
+                members.append(Member(words[0], _from_hex(words[1], place) if signed else None))
+        return cls(members, server)
 
     def __len__(self) -> int:
         return len(self._members)
+
+    @property
+    def unsigned(self) -> tuple[str, ...]:
+        """Names of the cameras whose updates are taken unsigned."""
+        return tuple(m.camera_id for m in self._members.values() if m.public is None)
 
     def __iter__(self) -> Iterator[int]:
         """Numbers of the members, ascending: an order that no file and no network decides."""

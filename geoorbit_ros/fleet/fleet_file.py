@@ -350,6 +350,10 @@ SERVICE_MODELS: dict[str, type[StrictModel]] = {
     "viewer": Viewer,
 }
 """What cameras share, by the file's keys."""
+SERVER_KEY_NAME = "server"
+"""Name of the federated server's key file."""
+RESERVED_NAMES = (*SERVICE_MODELS, SERVER_KEY_NAME)
+"""No camera may be called so: its process, its section or its key would be another's."""
 
 
 def node_parameters(node: str) -> tuple[ParameterSpec, ...]:

@@ -13,7 +13,14 @@ from geoorbit_ros.core.addresses import masked_text
 from geoorbit_ros.core.errors import InputFileError, ParameterError
 from geoorbit_ros.core.input_report import InputReport, Treatment
 from geoorbit_ros.core.resources import file_or_shipped
-from geoorbit_ros.fleet.fleet_file import IDENTIFIER, SERVICE_MODELS, Camera, Fleet, Position
+from geoorbit_ros.fleet.fleet_file import (
+    IDENTIFIER,
+    RESERVED_NAMES,
+    SERVICE_MODELS,
+    Camera,
+    Fleet,
+    Position,
+)
 from geoorbit_ros.parameters import nearest
 from geoorbit_ros.storage.atomic import atomic_output
 from geoorbit_ros.storage.yaml_file import YamlText, read_text, read_yaml
@@ -97,7 +104,7 @@ def _usable_cameras(text: YamlText, entries: list[object], report: InputReport) 
             if camera.id in cameras:
                 key = ("cameras", k, "id")
                 raise text.refusal(key, f"'{camera.id}' again", "another id for each camera")
-            if camera.id in SERVICE_MODELS:
+            if camera.id in RESERVED_NAMES:
                 key = ("cameras", k, "id")
                 raise text.refusal(key, f"'{camera.id}'", "a name that no service has")
             cameras[camera.id] = camera

@@ -12,14 +12,21 @@ from typing import Any
 from geoorbit_ros.core.addresses import masked
 from geoorbit_ros.core.errors import GeoOrbitError, InputFileError
 from geoorbit_ros.core.plugins import FROM_FILES, is_file, plugin_file, registered
-from geoorbit_ros.fleet.fleet_file import Camera, Fleet, Value
+from geoorbit_ros.fleet.fleet_file import (
+    RESERVED_NAMES,
+    SERVER_KEY_NAME,
+    Camera,
+    Fleet,
+    Value,
+)
 from geoorbit_ros.parameters import spec_by_name
 from geoorbit_ros.storage.frames.open_source import local_path
 
 BAG_IMAGE_SIZE = (1920, 1080)
 """Width and height of the images of a recording of boxes, which doesn't tell them: full HD."""
 SERVER, TWIN, CARLA, VIEWER = SERVICES = "federated_server", "twin", "carla", "viewer"
-"""Names of the processes that are no camera's; no camera may be called so."""
+"""Names of the processes that are no camera's."""
+SERVER_KEY, ROSTER = f"{SERVER_KEY_NAME}.key", "roster.txt"
 
 
 class FleetPlanError(GeoOrbitError):
@@ -40,9 +47,6 @@ def _each_text(content: Any, change: Callable[[str], str]) -> Any:
     if isinstance(content, Sequence):
         return [_each_text(value, change) for value in content]
     return content
-
-
-SERVER_KEY, ROSTER = "server.key", "roster.txt"
 
 
 @dataclass(frozen=True, slots=True)
@@ -341,7 +345,7 @@ def select(plans: Sequence[ProcessPlan], only: Sequence[str]) -> tuple[ProcessPl
 
 def _check_names(fleet: Fleet) -> None:
     for camera in fleet.cameras:
-        if camera.id in SERVICES:
+        if camera.id in RESERVED_NAMES:
             raise FleetPlanError("fleet, camera id", f"'{camera.id}'", "a name that no service has")
 
 

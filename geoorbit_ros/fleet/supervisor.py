@@ -10,6 +10,7 @@ import contextlib
 import json
 import os
 import selectors
+import shutil
 import signal
 import subprocess
 import sys
@@ -34,8 +35,11 @@ camera grew by 2.5 MB a minute. With fixed thresholds it stays flat, for 4 % mor
 HEARTBEAT_PERIOD_S = 1.0
 """Between two signs of life. Chosen: a part of `Timing.heartbeat_s`, so that some may be late."""
 LOG_BYTES = 5_000_000
-"""A log file that is larger when its process starts is set aside as `.1`. Chosen: larger costs
-disk, smaller loses what happened before."""
+"""A log file that is larger is set aside as `.1`, also while its process writes. Chosen: larger
+costs disk, smaller loses what happened before."""
+LOG_PERIOD_S = 10.0
+"""Between two looks at the sizes of the logs. Chosen: a process that says the same again and again
+writes a megabyte in this time; larger lets the disk fill."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,6 +143,7 @@ class Supervisor:
         self._command = command or group_command
         self._timing = timing or Timing()
         self._at_once = os.cpu_count() or 1
+        self._rotation_s = 0.0
         self._selector = selectors.DefaultSelector()
         for folder in ("logs", "plans"):
             (output / folder).mkdir(parents=True, exist_ok=True)
@@ -164,6 +169,10 @@ class Supervisor:
         for key, _ in self._selector.select(timeout_s):
             self._take_heartbeat(key.data)
         now = time.monotonic()
+        if now >= self._rotation_s:
+            self._rotation_s = now + LOG_PERIOD_S
+            for name in self.members:
+                rotate(self._output / "logs" / f"{name}.log")
         for member in self.members.values():
             self._watch(member, now)
         members = self.members.values()
@@ -211,8 +220,7 @@ class Supervisor:
         secrets = member.plan.secrets()
         environment = {**self._environment, SECRETS_VARIABLE: json.dumps(secrets)}
         log_file = self._output / "logs" / f"{name}.log"
-        if log_file.exists() and log_file.stat().st_size > LOG_BYTES:
-            log_file.replace(log_file.with_suffix(".log.1"))
+        rotate(log_file)
         read_end, write_end = os.pipe()
         os.set_blocking(read_end, False)
         with log_file.open("ab") as log:
@@ -295,6 +303,21 @@ class Supervisor:
                 self._selector.unregister(member.pipe)
             os.close(member.pipe)
             member.pipe = -1
+
+
+def rotate(log_file: Path) -> None:
+    """Set a log aside as `.1` once it is longer than `LOG_BYTES`; who writes it goes on.
+
+    It is copied and emptied, not renamed: its process holds it open, to append. What is written
+    between the two is lost, a millisecond's. A full disk leaves it without a copy.
+    """
+    with contextlib.suppress(FileNotFoundError):
+        if log_file.stat().st_size <= LOG_BYTES:
+            return
+        with contextlib.suppress(OSError):
+            shutil.copyfile(log_file, log_file.with_suffix(".log.1"))
+        with contextlib.suppress(OSError):
+            os.truncate(log_file, 0)
 
 
 def group_command(plan_file: Path, heartbeat_fd: int) -> list[str]:

@@ -6,7 +6,6 @@ out, counted and told; a file is refused when most of it is bad.
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.core.bounded_json import read_json
 from geoorbit_ros.core.errors import InputFileError
 from geoorbit_ros.core.input_report import InputReport, Treatment
 from geoorbit_ros.core.lanes import (
@@ -25,6 +25,7 @@ from geoorbit_ros.core.lanes import (
     Marking,
     MarkingColour,
     Status,
+    ViewNote,
 )
 from geoorbit_ros.core.polylines import offset_line, project
 from geoorbit_ros.lanes.geojson_tidying import Tidying, is_number
@@ -33,6 +34,13 @@ EXPECTED = "a GeoJSON file of lanes"
 ROLES = ("centerline", "left", "right")
 MAX_EXTENT_M = 20_000.0
 """A lane further from the datum than this is in the wrong place: no camera sees 20 km."""
+MAX_WHY_TEXT = 300
+"""Characters of a sentence about the view; longer ones are cut."""
+MAX_LANE_ID = 2**31 - 1
+"""Ids of lanes are 32 bits wide in messages."""
+MAX_FILE_TEXT = 256_000_000
+"""Characters of a file. Chosen: lanes of a whole city; what comes in messages is bounded before
+(`core.bounded_json`)."""
 DRAWN_WIDTH_M = 3.5
 """Distance between boundaries that are made up because a file has only centrelines."""
 
@@ -86,15 +94,7 @@ def parse_collection(text: str, path: Path) -> Collection:
     Raises:
         InputFileError: Not JSON, not a FeatureCollection of lane lines.
     """
-    try:
-        data = json.loads(text)
-    except json.JSONDecodeError as error:
-        where = f"{path}, line {error.lineno}"
-        raise InputFileError(where, error.msg, "a GeoJSON file") from error
-    except RecursionError as error:
-        raise InputFileError(
-            str(path), "lists in lists, too deep to read", "a GeoJSON file"
-        ) from error
+    data = read_json(text, str(path), "a GeoJSON file", InputFileError, MAX_FILE_TEXT)
     if isinstance(data, dict) and data.get("type") == "Feature":
         data = {"type": "FeatureCollection", "features": [data]}
     if not isinstance(data, dict) or data.get("type") != "FeatureCollection":
@@ -204,9 +204,12 @@ def map_of(collection: Collection, datum: Datum, lanes: tuple[Lane, ...]) -> Lan
             ring = np.asarray(about["visible"]["coordinates"][0], dtype=np.float64)
             visible = datum.to_local(ring[:-1, 1], ring[:-1, 0])
         doubtful = about.get("doubtful") is True
-        stamp_ns = int(about.get("stamp_ns", 0))
-        return LaneMap(stamp_ns, lanes, sections, visible, doubtful=doubtful)
-    except (TypeError, KeyError, ValueError, IndexError) as error:
+        stamp_ns = about.get("stamp_ns", 0)
+        if not (is_number(stamp_ns) and abs(stamp_ns) < 2**63):
+            raise ValueError(f"stamp_ns {stamp_ns!r:.40}")
+        view = _view_note(about.get("view"))
+        return LaneMap(int(stamp_ns), lanes, sections, visible, doubtful=doubtful, view=view)
+    except (TypeError, KeyError, ValueError, IndexError, OverflowError) as error:
         place = f"{collection.path}, 'geoorbit'"
         raise InputFileError(place, error, "the members docs/formats.md lists") from error
 
@@ -247,6 +250,10 @@ def _lane(collection: Collection, lane_id: int, roles: dict[str, Line], datum: D
         collection.report.add(Treatment.REPAIRED, 2, text, f"lane {lane_id}")
     if not np.isfinite(width) and both:
         width = float(np.mean(np.hypot(*(sides[0] - sides[1]).T)))
+    shifts = {
+        role: _number(roles[role].properties if role in roles else {}, "shift_sigma_m", np.nan)
+        for role in ROLES
+    }
     status: Status = given.get("status", "confirmed")
     return Lane(
         lane_id=lane_id,
@@ -263,6 +270,7 @@ def _lane(collection: Collection, lane_id: int, roles: dict[str, Line], datum: D
         left_edge=edges[0],
         right_edge=edges[1],
         driven_offset_m=_number(given, "driven_offset_m", float("nan")),
+        shift_sigma_m=(shifts["centerline"], shifts["left"], shifts["right"]),
     )
 
 
@@ -343,8 +351,8 @@ def _line(path: Path, k: int, feature: Any) -> Line:
         found = geometry.get("type") if isinstance(geometry, dict) else geometry
         raise InputFileError(f"{place}, 'geometry'", repr(found), "a LineString")
     lane_id = properties.get("lane_id")
-    if not is_number(lane_id) or lane_id != int(lane_id):
-        raise InputFileError(f"{place}, 'lane_id'", repr(lane_id), "a whole number")
+    if not is_number(lane_id) or lane_id != int(lane_id) or abs(lane_id) > MAX_LANE_ID:
+        raise InputFileError(f"{place}, 'lane_id'", repr(lane_id), "a whole number of 32 bits")
     for key, values, default in (
         ("role", ROLES, "centerline"),
         ("status", get_args(Status), "confirmed"),
@@ -376,3 +384,19 @@ def _points(place: str, coordinates: object) -> NDArray[np.float64]:
 def _number(properties: dict[str, Any], key: str, default: float) -> float:
     value = properties.get(key)
     return default if value is None else float(value)
+
+
+def _view_note(view: object) -> ViewNote | None:
+    """What a map says of the view when it was made.
+
+    Raises:
+        KeyError, TypeError, ValueError: Not what `docs/formats.md` lists.
+    """
+    if not view:
+        return None
+    if not isinstance(view, dict):
+        raise TypeError(f"view {view!r:.40}")
+    since_ns = view["since_ns"]
+    if not (is_number(since_ns) and abs(since_ns) < 2**63):
+        raise ValueError(f"since_ns {since_ns!r:.40}")
+    return ViewNote(view["held"] is True, int(since_ns), str(view["why"])[:MAX_WHY_TEXT])

@@ -6,11 +6,11 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.core.array_file import read_arrays
 from geoorbit_ros.core.errors import InputFileError
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.core.tables import TRACK_DTYPE, Frames
@@ -90,8 +90,7 @@ def load_task(path: Path) -> CameraTask:
         InputFileError: Not such a file, or one of another version.
     """
     try:
-        with np.load(path, allow_pickle=False) as content:
-            arrays = {name: content[name] for name in content.files}
+        arrays = read_arrays(path, "a camera written by geoorbit train")
         about = json.loads(str(arrays["about"]))
         if about["version"] != VERSION or arrays["rows"].dtype != TRACK_DTYPE:
             raise InputFileError(str(path), "another version", f"version {VERSION}")
@@ -100,7 +99,7 @@ def load_task(path: Path) -> CameraTask:
             tuple(_lane(row, arrays[f"{name}_{k}"]) for k, row in enumerate(about[name]))
             for name in ("supervision", "truth")
         )
-    except (OSError, BadZipFile, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputFileError(str(path), error, "a camera written by geoorbit train") from error
     return CameraTask(
         about["camera_id"], tracks, arrays["features"], supervision, truth, about["surveyed"]

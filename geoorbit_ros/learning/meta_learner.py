@@ -11,11 +11,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.core.array_file import read_arrays
 from geoorbit_ros.core.errors import InputFileError, TableError
 from geoorbit_ros.lanes.parameters import LaneParameters
 from geoorbit_ros.learning.features import FEATURE_NAMES
@@ -134,11 +134,10 @@ def load_model(path: Path) -> MetaLearner:
         InputFileError: Not such a file, or a model for other features or parameters.
     """
     try:
-        with np.load(path, allow_pickle=False) as content:
-            arrays = {name: content[name] for name in content.files}
+        arrays = read_arrays(path, "a model written by geoorbit train")
         names = [tuple(arrays.pop(key).tolist()) for key in (_FEATURES, _PARAMETERS)]
         learner = MetaLearner.from_tensors(arrays)
-    except (OSError, BadZipFile, ValueError, KeyError, TableError) as error:
+    except (OSError, ValueError, KeyError, TableError) as error:
         raise InputFileError(str(path), error, "a model written by geoorbit train") from error
     expected = [learner.feature_names, learner.parameter_names]
     if names != expected:

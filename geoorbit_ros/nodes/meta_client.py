@@ -20,7 +20,7 @@ from geoorbit_ros.learning.camera_session import INTERFACE, CameraSession
 from geoorbit_ros.learning.meta_learner import load_model
 from geoorbit_ros.learning.processes import BackgroundProcess
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
-from geoorbit_ros.nodes.support.byte_topic import PayloadPublisher, subscribe_payloads
+from geoorbit_ros.nodes.support.byte_topic import PayloadPublisher, PayloadSubscription
 from geoorbit_ros.nodes.support.process import run_node
 from geoorbit_ros.nodes.support.qos import LATCHED, model_qos, updates_qos
 from geoorbit_ros.nodes.support.reference_listener import ReferenceListener
@@ -57,11 +57,13 @@ class MetaClientNode(GeoOrbitNode[MetaClientParameters]):
 
     Publishes `lane_parameters`, latched, for every new model and observation, and
     `/federated/client_update` for every round that it is selected for. Training runs in a process
-    of its own at low priority, so that nothing here waits for it.
+    of its own at low priority, so that nothing here waits for it. Whatever fails here, the nodes
+    beside it go on.
     """
 
     name = "meta_client"
     struct = MetaClientParameters
+    optional = True
 
     def setup(self) -> None:
         """Take up the state file if there is one, and wait for a model."""
@@ -76,6 +78,9 @@ class MetaClientNode(GeoOrbitNode[MetaClientParameters]):
             interface=INTERFACE,
             state_path=Path(p.state_file) if p.state_file else None,
         )
+        for note in self.client.notes:
+            self.get_logger().warning(note)
+        self.diagnostics.add_check(lambda: self.client.fault or None)
         self._training = BackgroundProcess()
         self.session = CameraSession(
             self.client, signer, p.estimator, p.observation_s, self._training, p.resend_s
@@ -88,8 +93,8 @@ class MetaClientNode(GeoOrbitNode[MetaClientParameters]):
         TableStream(self, "tracks", TRACK_DTYPE, p, self.session.add, self.session.restart)
         ReferenceListener(self, self._on_reference)
         models = model_qos(p.model_history)
-        subscribe_payloads(self, "/federated/global_model", models, self.session.receive)
-        subscribe_payloads(self, "/federated/secure_aggregation", updates_qos(), self._on_step)
+        PayloadSubscription(self, "/federated/global_model", models, self.session.receive)
+        PayloadSubscription(self, "/federated/secure_aggregation", updates_qos(), self._on_step)
         self.create_timer(PERIOD_S, self._on_time, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def diagnostic_values(self) -> Mapping[str, object]:

@@ -57,6 +57,7 @@ class OverlayNode(GeoOrbitNode[OverlayParameters]):
 
     name = "overlay"
     struct = OverlayParameters
+    optional = True
 
     def setup(self) -> None:
         """Make the topic, and wait for a viewer."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,28 +10,27 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
-from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 
-from geoorbit_ros.conversions import decode_string, decode_table
+from geoorbit_ros.conversions import decode_string
+from geoorbit_ros.core.bounded_json import read_json
 from geoorbit_ros.core.errors import GeoOrbitError, MessageError, ParameterError
 from geoorbit_ros.core.tables import TRACK_DTYPE
+from geoorbit_ros.core.wall_clock import RetentionClock, refuse_ahead
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.nodes.support.process import run_node
-from geoorbit_ros.nodes.support.qos import LATCHED_ALL, LOOKS
+from geoorbit_ros.nodes.support.qos import LATCHED_ALL
 from geoorbit_ros.nodes.support.table_stream import TableStream
+from geoorbit_ros.nodes.support.view_listener import listen_to_views
 from geoorbit_ros.storage.database.reader import ViewEvent
 from geoorbit_ros.storage.database.writer import TrajectoryDatabase
-from geoorbit_ros.storage.ownership import Ownership
-from geoorbit_ros.view.looks import VIEW_DTYPE, look_of
+from geoorbit_ros.view.looks import ViewLook
 from geoorbit_ros.view.timeline import ViewStretch, ViewTimeline
 
 FLUSH_PERIOD_S = 0.5
 """A kill costs less than a second, also when the camera has fallen silent."""
 VIEWS_AT_ONCE = 16
 """Stretches of the view's history that may change or be new between two flushes."""
-DAY_NS = 86_400_000_000_000
-"""Nanoseconds of a day."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,11 +48,13 @@ class RecorderParameters:
 class RecorderNode(GeoOrbitNode[RecorderParameters]):
     """Subscribes `tracks`, `lanes/geojson`, `view` of its namespace; appends them to the database.
 
-    Frames that are already in the database, as when a bag is played again, are refused.
+    Frames that are already in the database, as when a bag is played again, are refused, and so are
+    those of the future. What is old is so by this computer's clock, never by a stamp.
     """
 
     name = "recorder"
     struct = RecorderParameters
+    optional = True
 
     def setup(self) -> None:
         """Open the database, then subscribe."""
@@ -62,28 +62,27 @@ class RecorderNode(GeoOrbitNode[RecorderParameters]):
         if not self._camera:
             place = f"node '{self.get_fully_qualified_name()}', parameter 'camera_id'"
             raise ParameterError(place, "nothing, in the root namespace", "the camera's name")
-        self._newest_ns = self.lane_maps = 0
+        self.lane_maps = 0
         self._views, self._stored = ViewTimeline(), list[ViewStretch]()
-        database = Path(self.p.database)
-        self._database = TrajectoryDatabase(database)
-        lock = database.with_name(f".{database.name}.{self._camera.replace('/', '.')}.lock")
+        self._database = TrajectoryDatabase(Path(self.p.database))
         try:
-            self._owner = Ownership(lock, f"{database}, camera {self._camera}")
+            self._database.claim(self._camera)
+            newest_ns = self._database.newest_stored_ns(self._camera)
         except GeoOrbitError:
             self._database.close()
             raise
+        self._retention = RetentionClock(self.p.retention_days, newest_ns)
+        self.diagnostics.add_check(lambda: self._retention.doubt)
         TableStream(self, "tracks", TRACK_DTYPE, self.p, self._on_frame, lambda: None)
         self._geojson_topic = self.resolve_topic_name("lanes/geojson")
         self.create_subscription(String, "lanes/geojson", self._on_lanes, LATCHED_ALL, raw=True)
-        self._view_topic = self.resolve_topic_name("view")
-        self.create_subscription(PointCloud2, "view", self._on_view, LOOKS, raw=True)
+        listen_to_views(self, self._on_view)
         self.create_timer(
             FLUSH_PERIOD_S, self._maintain, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
 
     def close(self) -> None:
         """Commit what is left."""
-        self._owner.close()
         try:
             self._store_views()
             self._database.close()
@@ -91,8 +90,8 @@ class RecorderNode(GeoOrbitNode[RecorderParameters]):
             self.get_logger().error(str(error))
 
     def _on_frame(self, stamp_ns: int, rows: NDArray[np.void]) -> None:
+        refuse_ahead(stamp_ns, f"tracks of '{self._camera}'")
         self._database.append(self._camera, stamp_ns, rows)
-        self._newest_ns = stamp_ns
 
     def _on_lanes(self, cdr: bytes) -> None:
         try:
@@ -102,12 +101,9 @@ class RecorderNode(GeoOrbitNode[RecorderParameters]):
         except GeoOrbitError as error:
             self.diagnostics.refuse(error)
 
-    def _on_view(self, cdr: bytes) -> None:
-        try:
-            stamp_ns, _, rows = decode_table(cdr, VIEW_DTYPE, self._view_topic)
-            self._views.add(look_of(stamp_ns, rows, self._view_topic))
-        except GeoOrbitError as error:
-            self.diagnostics.refuse(error)
+    def _on_view(self, look: ViewLook) -> None:
+        refuse_ahead(look.stamp_ns, self.resolve_topic_name("view"))
+        self._views.add(look)
 
     def _store_views(self) -> None:
         """Store what is new of the view's history: the end of the last stretch, and later ones."""
@@ -118,18 +114,23 @@ class RecorderNode(GeoOrbitNode[RecorderParameters]):
             self._stored = stretches
 
     def _map_stamp_ns(self, text: str) -> int:
+        expected = "the lane map as GeoJSON"
         try:
-            return int(json.loads(text)["geoorbit"]["stamp_ns"])
-        except (ValueError, KeyError, TypeError):
+            stamp_ns = read_json(text, self._geojson_topic, expected)["geoorbit"]["stamp_ns"]
+        except (KeyError, TypeError):
             found = f"{len(text)} characters without geoorbit.stamp_ns"
-            raise MessageError(self._geojson_topic, found, "the lane map as GeoJSON") from None
+            raise MessageError(self._geojson_topic, found, expected) from None
+        if type(stamp_ns) is not int:
+            raise MessageError(self._geojson_topic, f"stamp_ns {stamp_ns!r:.40}", "nanoseconds")
+        refuse_ahead(stamp_ns, self._geojson_topic)
+        return stamp_ns
 
     def _maintain(self) -> None:
         try:
             self._database.flush()
             self._store_views()
-            if self.p.retention_days > 0.0 and self._newest_ns:
-                self._database.prune(self._newest_ns - round(self.p.retention_days * DAY_NS))
+            if (before_ns := self._retention.cutoff_ns()) is not None:
+                self._database.prune(self._camera, before_ns)
         except GeoOrbitError as error:  # a full disk may have room again later
             self.diagnostics.refuse(error)
 

@@ -15,6 +15,7 @@ from std_msgs.msg import String
 from geoorbit_ros.conversions import decode_string
 from geoorbit_ros.core.errors import GeoOrbitError, ParameterError
 from geoorbit_ros.core.tables import TRACK_DTYPE, one_frame
+from geoorbit_ros.core.wall_clock import RetentionClock
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.nodes.support.lane_reader import LaneReader
 from geoorbit_ros.nodes.support.process import run_node
@@ -22,7 +23,6 @@ from geoorbit_ros.nodes.support.qos import LATCHED_ALL
 from geoorbit_ros.nodes.support.table_stream import TableStream
 from geoorbit_ros.nodes.support.traffic_publisher import TrafficPublisher
 from geoorbit_ros.storage.database.traffic import TrafficDatabase
-from geoorbit_ros.storage.ownership import Ownership
 from geoorbit_ros.traffic.class_schemes import named_scheme
 from geoorbit_ros.traffic.follower import STEP_BATCHES, TrafficFollower
 from geoorbit_ros.traffic.interval_clock import NS, IntervalClock, checked_zone
@@ -32,8 +32,6 @@ from geoorbit_ros.traffic.live import LiveTraffic
 STEP_PERIOD_S = 0.5
 """Between two looks into the database, in wall time, which changes no result. Chosen: as often as
 the recorder commits."""
-DAY_NS = 86_400 * NS
-"""Nanoseconds of a day."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +62,7 @@ class TrafficNode(GeoOrbitNode[TrafficParameters]):
 
     name = "traffic"
     struct = TrafficParameters
+    optional = True
 
     def setup(self) -> None:
         """Find the place to go on, or subscribe."""
@@ -89,7 +88,6 @@ class TrafficNode(GeoOrbitNode[TrafficParameters]):
     def close(self) -> None:
         """Give the database up; intervals that are not finished are counted again later."""
         if self._follower is not None:
-            self._owner.close()
             self._database.close()
 
     def _reads_lanes(self, place: str) -> LaneReader:
@@ -121,12 +119,14 @@ class TrafficNode(GeoOrbitNode[TrafficParameters]):
     def _follow(self, path: Path) -> None:
         reader = self._reads_lanes(f"{path}, lane map of {self._camera}")
         self._database = TrafficDatabase(path)
-        lock = path.with_name(f".{path.name}.{self._camera.replace('/', '.')}.traffic.lock")
         try:
-            self._owner = Ownership(lock, f"traffic in {path}, camera {self._camera}")
+            self._database.claim(self._camera, "traffic")
+            newest_ns = self._database.newest_stored_ns(self._camera)
         except GeoOrbitError:
             self._database.close()
             raise
+        self._retention = RetentionClock(self.p.retention_days, newest_ns)
+        self.diagnostics.add_check(lambda: self._retention.doubt)
         self._follower = TrafficFollower(
             self._database,
             self._camera,
@@ -168,9 +168,8 @@ class TrafficNode(GeoOrbitNode[TrafficParameters]):
             live = self._follower.live
             if live is not None:
                 self.published.told(live, told.events)
-            if self.p.retention_days > 0.0 and live is not None and live.newest_ns:
-                before_ns = live.newest_ns - round(self.p.retention_days * DAY_NS)
-                self._database.prune_traffic(before_ns)
+            if (before_ns := self._retention.cutoff_ns()) is not None:
+                self._database.prune_traffic(self._camera, before_ns)
         except GeoOrbitError as error:  # a full disk may have room again later
             self.diagnostics.refuse(error)
 

@@ -92,7 +92,7 @@ def _tree_of_json(text: bytes, place: str) -> Xml.Element:
     """
     try:
         data: Any = json.loads(text)
-    except (ValueError, RecursionError) as error:
+    except (ValueError, RecursionError, MemoryError) as error:
         raise RoadNetworkError(place, f"broken JSON ({error})", EXPECTED) from error
     kind = data.get("type") if isinstance(data, dict) else None
     if kind in ("FeatureCollection", "Feature", "GeometryCollection"):

@@ -17,6 +17,7 @@ import yaml
 from geoorbit_ros.core.errors import InputFileError
 from geoorbit_ros.core.input_report import Treatment
 from geoorbit_ros.storage.bag_file import EXPECTED, Faults, recognise
+from geoorbit_ros.storage.yaml_loader import load_bounded
 
 METADATA = "metadata.yaml"
 _NAME = re.compile(r"\.(mcap|db3)(\.zstd|\.zst)?$")
@@ -143,7 +144,7 @@ def _metadata(folder: Path, faults: Faults) -> _Metadata | None:
         faults.note(f"no {METADATA} (a recording that was cut off?); all files there are read")
         return None
     try:
-        content = yaml.safe_load(file.read_text(encoding="utf-8", errors="replace"))
+        content: Any = load_bounded(file.read_text(encoding="utf-8", errors="replace"))
         info: Mapping[str, Any] = content["rosbag2_bagfile_information"]
         paths = info["relative_file_paths"]
         if not isinstance(paths, list) or not paths:

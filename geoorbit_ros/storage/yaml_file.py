@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, fie
 from geoorbit_ros.core.addresses import masked_text
 from geoorbit_ros.core.errors import InputFileError
 from geoorbit_ros.core.input_report import InputReport, Treatment, decimal_comma
+from geoorbit_ros.storage.yaml_loader import MAX_YAML_BYTES, CoreLoader, load_core
 
 Model = TypeVar("Model", bound=BaseModel)
 Key = tuple[str | int, ...]
@@ -78,69 +79,6 @@ class StrictModel(BaseModel):
         text = f"{info.field_name}: {value!r} is read as {number:g}"
         report.note(Treatment.REPAIRED, text)
         return number
-
-
-class _Loader(yaml.SafeLoader):
-    """YAML 1.2's core schema (https://yaml.org/spec/1.2.2/#103-core-schema), each key once.
-
-    In YAML 1.1, which PyYAML reads by itself, `no` is false, `010` is eight, `12:30` is 750, and
-    the last of two equal keys counts.
-    """
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        """A mapping whose keys differ."""
-        lines: dict[object, int] = {}
-        for key, _ in node.value:
-            if not isinstance(key, yaml.ScalarNode):
-                problem = "a list or keys as a key"
-                raise yaml.MarkedYAMLError(problem=problem, problem_mark=key.start_mark)
-            line = key.start_mark.line + 1
-            if key.value in lines and key.tag != "tag:yaml.org,2002:merge":
-                problem = f"key '{key.value}' a second time, first in line {lines[key.value]}"
-                raise yaml.MarkedYAMLError(problem=problem, problem_mark=key.start_mark)
-            lines[key.value] = line
-        return super().construct_mapping(node, deep)
-
-    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
-        """A value; one that is not what its tag says is a fault of the file, as any other."""
-        try:
-            return super().construct_object(node, deep)
-        except (ValueError, KeyError, AttributeError, OverflowError) as error:
-            shown = str(node.value) if isinstance(node, yaml.ScalarNode) else "a value"
-            shown = shown if len(shown) <= 60 else f"{shown[:60]}..."
-            problem = f"'{shown}' is no {node.tag.rpartition(':')[2]}"
-            mark = node.start_mark
-            raise yaml.MarkedYAMLError(problem=problem, problem_mark=mark) from error
-
-
-def _whole(loader: yaml.SafeLoader, node: yaml.ScalarNode) -> int:
-    text = loader.construct_scalar(node)
-    return int(text, 0) if text[:2] in ("0x", "0o") else int(text)
-
-
-def _number(loader: yaml.SafeLoader, node: yaml.ScalarNode) -> float:
-    return float(loader.construct_scalar(node).replace(".inf", "inf").replace(".nan", "nan"))
-
-
-_CORE: tuple[tuple[str, str, str], ...] = (
-    ("bool", "true|True|TRUE|false|False|FALSE", "tTfF"),
-    ("int", "[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+", "-+0123456789"),
-    (
-        "float",
-        r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)",
-        "-+0123456789.",
-    ),
-    ("null", "~|null|Null|NULL|", "~nN\0"),
-    ("merge", "<<", "<"),
-)
-"""Tags of YAML's core schema, what is written for them, and how that may begin."""
-_Loader.yaml_implicit_resolvers = {}
-for _tag, _form, _begins in _CORE:
-    _name = f"tag:yaml.org,2002:{_tag}"
-    first = [letter if letter != "\0" else "" for letter in _begins]
-    _Loader.add_implicit_resolver(_name, re.compile(f"^({_form})$"), first)
-_Loader.add_constructor("tag:yaml.org,2002:int", _whole)
-_Loader.add_constructor("tag:yaml.org,2002:float", _number)
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,6 +171,8 @@ def read_text(file: Path, kind: str, report: InputReport | None = None) -> YamlT
     """
     expected = f"a {kind} file in YAML"
     try:
+        if (size := file.stat().st_size) > MAX_YAML_BYTES:
+            raise InputFileError(str(file), f"{size} bytes", f"{expected} of {MAX_YAML_BYTES}")
         data = file.read_bytes()
         text = data.decode("utf-16" if data[:2] in _UTF_16 else "utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
@@ -260,10 +200,7 @@ _END = re.compile(r"\n---\s*\Z")
 
 
 def _load(text: str) -> object:
-    try:
-        return yaml.load(_END.sub("\n", text), Loader=_Loader)
-    except RecursionError as error:
-        raise yaml.MarkedYAMLError(problem="lists in lists, too deep to read") from error
+    return load_core(_END.sub("\n", text))
 
 
 def _without_tabs(text: str) -> str | None:
@@ -318,7 +255,7 @@ def _find(text: str, key: Sequence[str | int]) -> tuple[int, Key]:
 
     Pydantic puts names of union members between the keys; the file has none of them.
     """
-    node = yaml.compose(text, Loader=_Loader)
+    node = yaml.compose(text, Loader=CoreLoader)
     line, found = 1, []
     for part in key:
         child = None

@@ -61,7 +61,7 @@ class EventWatch:
             self._tracks.take(tick, moments)
             now = self._tracks.now
             self._flow.take(stamp_ns, now)
-            self._standing.take(stamp_ns, self._tracks)
+            self._standing.take(stamp_ns, self._tracks, self._moments.place)
             self._queues.take(stamp_ns, now)
             self._wrong_way.take(stamp_ns, now)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from math import exp, log, sqrt
+from math import exp, hypot, isfinite, log, sqrt
 from statistics import median
 
 import numpy as np
@@ -22,6 +22,10 @@ HALF_LIFE_S = 1800.0
 shorter forgets them before they are known at night, longer lags behind the rush hour."""
 LEAST_VEHICLES = 10.0
 """So many vehicles in a lane are needed to know its share. Chosen: 1-sigma is a third of it."""
+IN_LANE = 0.7
+"""Share of half the lane's width within which a vehicle must be to use it. Chosen: on the line
+there is no lane; one in fifty of a full lane is placed on it, which looks like traffic in an empty
+one beside it."""
 UNUSED_SHARE = 0.1
 """A lane with a tenth of its usual share is unused: the few are errors of the lane. Chosen: more
 takes a lane for unused that has become less popular, less is ended by two wrong places."""
@@ -115,12 +119,12 @@ class LaneFlow:
                 if lane_id not in self._known and event is not None:
                     self._log.end(event, self._newest_ns)
         self._state = [self._known[k.lane_id] for k in lanes]
-        self._line = np.zeros(len(lanes))
+        self._line = [0.0] * len(lanes)
         self._beside: list[list[int]] = [[] for _ in lanes]
         self._place = np.zeros((len(lanes), 2))
         for station in place_stations(lanes):
             for k, arc in zip(station.lanes, station.arc_m, strict=True):
-                self._line[k] = arc
+                self._line[k] = float(arc)
                 self._beside[k] = [j for j in station.lanes if j != k]
                 step = np.hypot(*np.diff(lanes[k].centerline_m, axis=0).T)
                 at = np.append(0.0, np.cumsum(step))
@@ -149,16 +153,18 @@ class LaneFlow:
             if lane is not None:
                 moment = track.last
                 self._count(lane, stamp_ns, moment.track_id)
-                self._speed(lane, stamp_ns, moment.track_id, float(np.hypot(moment.vx, moment.vy)))
+                self._speed(lane, stamp_ns, moment.track_id, hypot(moment.vx, moment.vy))
 
     def _crossed(self, track: WatchedTrack) -> int | None:
         """The lane whose station a vehicle crossed since its moment before."""
         moment = track.last
         if moment.lane < 0 or moment.way != 1 or moment.sigma > SHARP_M or len(track.recent) < 2:
             return None
-        beyond = moment.arc - float(self._line[moment.lane])
+        if abs(moment.offset) > IN_LANE * moment.half_width:
+            return None
+        beyond = moment.arc - self._line[moment.lane]
         before = track.recent[-2]
-        moved = float(np.hypot(moment.x - before.x, moment.y - before.y))
+        moved = hypot(moment.x - before.x, moment.y - before.y)
         return moment.lane if 0.0 <= beyond < moved else None
 
     def _count(self, lane: int, stamp_ns: int, track_id: int) -> None:
@@ -199,7 +205,7 @@ class LaneFlow:
             last_ns=stamp_ns,
             lane_id=self._lanes[lane].lane_id,
             track_id=state.last_track,
-            arc_m=float(self._line[lane]),
+            arc_m=self._line[lane],
             x=x,
             y=y,
             vehicles=state.held_others,
@@ -228,7 +234,7 @@ class LaneFlow:
 
     def _speed(self, lane: int, stamp_ns: int, track_id: int, speed_mps: float) -> None:
         state = self._state[lane]
-        if not np.isfinite(speed_mps):
+        if not isfinite(speed_mps):
             return
         state.speeds.append((stamp_ns, track_id, speed_mps))
         while len(state.speeds) > NOW_VEHICLES:
@@ -251,7 +257,7 @@ class LaneFlow:
                 last_ns=stamp_ns,
                 lane_id=self._lanes[lane].lane_id,
                 track_id=track_id,
-                arc_m=float(self._line[lane]),
+                arc_m=self._line[lane],
                 x=x,
                 y=y,
                 vehicles=NOW_VEHICLES,

@@ -49,6 +49,9 @@ beside makes it a jam. Chosen: a lorry and its gap; the length of a view."""
 PASS_M, LANE_BESIDE_M = 1.2, 6.0
 """Who passes nearer than the first has driven through it, within the second beside it. Chosen: two
 cars that are 1.2 m aside touch; a lane and a half."""
+CLEAR_M = 5.0
+"""Who was seen this far beyond it has driven through it. Chosen: a car's length; an id that is
+exchanged with that of who waits behind it gets to it, and no farther."""
 THROUGH = 2
 """After so many have driven through it is no vehicle. Chosen: one may be an exchanged id."""
 PASSED, PASSED_JAM = 3, 5
@@ -63,6 +66,8 @@ LEFT_TICKS = 20
 """Ten seconds, if its track was seen to go on. Chosen: ids of who passes are exchanged with it."""
 USUAL_PLACE_M = 12.0
 """Waits this near to each other are at the same place. Chosen: the first two of a queue."""
+Placed = Callable[[float, float], Moment]
+"""Gives the moment, in the lanes of now, of something at a place."""
 
 
 @dataclass(slots=True)
@@ -78,6 +83,7 @@ class Stand:
         from_start: It was there when watching began.
         holder: The track that is on it now.
         unseen: Moments since it was last seen.
+        within: Who drove into it, and was not seen beyond it yet.
         through, beside, around: Who drove through it, beside it, and to the lane beside before it.
         drove_off: Its track went on.
         crowd_ns: When others last waited before or beside it.
@@ -98,6 +104,7 @@ class Stand:
     from_start: bool
     holder: WatchedTrack | None
     unseen: int = 0
+    within: set[int] = field(default_factory=set)
     through: set[int] = field(default_factory=set)
     beside: set[int] = field(default_factory=set)
     around: set[int] = field(default_factory=set)
@@ -124,7 +131,7 @@ class StandingWatch:
         self._stands: list[Stand] = []
         self._waits: dict[int, list[tuple[float, int]]] = {}
 
-    def use_lanes(self, lanes: Sequence[Lane], placed: Callable[[float, float], Moment]) -> None:
+    def use_lanes(self, lanes: Sequence[Lane], placed: Placed) -> None:
         """Look on these lanes from now on.
 
         Args:
@@ -139,8 +146,14 @@ class StandingWatch:
             stand.lane, stand.arc, stand.offset = at.lane, at.arc, at.offset
             stand.half_width, stand.heading = at.half_width, at.heading
 
-    def take(self, stamp_ns: int, watched: WatchedTracks) -> None:
-        """Take the tracks of a half second."""
+    def take(self, stamp_ns: int, watched: WatchedTracks, placed: Placed) -> None:
+        """Take the tracks of a half second.
+
+        Args:
+            stamp_ns: Its time.
+            watched: The tracks.
+            placed: See `use_lanes`.
+        """
         held = {id(stand.holder): stand for stand in self._stands if stand.holder is not None}
         for stand in self._stands:
             stand.unseen += 1
@@ -152,7 +165,7 @@ class StandingWatch:
             elif stand_of is not None:
                 self._see(stand_of, track)
             elif track.last.lane >= 0:
-                self._note(track)
+                self._note(track, placed)
         self._forget(stamp_ns)
         if self._stands:
             self._passes(watched)
@@ -166,7 +179,7 @@ class StandingWatch:
         stand.drove_off = False
         stand.came = stand.came or track.is_vehicle
 
-    def _note(self, track: WatchedTrack) -> None:
+    def _note(self, track: WatchedTrack, placed: Placed) -> None:
         """A track that stands is on something that is known, or on something new."""
         x, y = track.anchor
         for stand in self._stands:
@@ -175,9 +188,9 @@ class StandingWatch:
                     stand.holder = track
                     self._see(stand, track)
                 return
-        at = track.last
+        at = placed(x, y)  # its id may just have gone over to who passes
         stand = Stand(
-            at.track_id,
+            track.last.track_id,
             x,
             y,
             at.lane,
@@ -186,7 +199,7 @@ class StandingWatch:
             at.half_width,
             at.heading,
             track.since_ns,
-            at.stamp_ns,
+            track.last.stamp_ns,
             track.driven_m,
             track.is_vehicle,
             track.from_start,
@@ -229,7 +242,7 @@ class StandingWatch:
             return
         if abs(stand.offset) > IN_LANE * stand.half_width:
             return
-        if not stand.came and not (stand.from_start and len(stand.around) >= AROUND):
+        if not stand.came and not (stand.from_start and self._is_avoided(stand)):
             return
         needed_ns = self._needed_ns(stand, slow)
         if needed_ns is None or stands_ns < needed_ns:
@@ -248,6 +261,14 @@ class StandingWatch:
             length_m=stand.driven_m,
         )
 
+    def _is_avoided(self, stand: Stand) -> bool:
+        """Whether vehicles changed lanes before it, in a lane that they need not leave there."""
+        return len(stand.around) >= AROUND and self._is_free_ahead(stand)
+
+    def _is_free_ahead(self, stand: Stand) -> bool:
+        """Whether its lane is seen to go on beyond it."""
+        return self._length[stand.lane] - stand.arc >= AHEAD_M
+
     def _needed_ns(self, stand: Stand, slow: list[WatchedTrack]) -> float | None:
         """How long a vehicle must stand there to have stopped; None: it waits in a queue."""
         ahead, behind, jam = self._waiting_near(stand, slow)
@@ -257,7 +278,7 @@ class StandingWatch:
             return None
         # A jam that dissolves leaves its vehicles one after the other.
         jam = jam or stand.last_ns - stand.crowd_ns < WAIT_NS
-        free_ahead = self._length[stand.lane] - stand.arc >= AHEAD_M
+        free_ahead = self._is_free_ahead(stand)
         fast = self._flow.usual_mps(stand.lane) >= FAST_MPS
         needed: float = WAIT_NS if fast else RED_NS
         if jam or behind:
@@ -296,12 +317,16 @@ def _note_pass(stand: Stand, track: WatchedTrack, before: Moment, now: Moment) -
     """Whether a vehicle drove past a stand between two moments, and where."""
     a = along_and_left(stand.x, stand.y, stand.heading, before)
     b = along_and_left(stand.x, stand.y, stand.heading, now)
+    if now.track_id in stand.within and (b[0] >= CLEAR_M or not _drives(now)):
+        stand.within.discard(now.track_id)
+        if b[0] >= CLEAR_M:
+            stand.through.add(now.track_id)
     if not a[0] < 0.0 <= b[0]:
         return
     left = abs(a[1] + (b[1] - a[1]) * -a[0] / (b[0] - a[0]))
     if left < PASS_M:
         if _drives(before) and _drives(now):
-            stand.through.add(now.track_id)
+            (stand.through if b[0] >= CLEAR_M else stand.within).add(now.track_id)
     elif left < LANE_BESIDE_M and now.lane != stand.lane:
         stand.beside.add(now.track_id)
         if stand.lane in track.lanes and track.lanes[stand.lane] < stand.arc:

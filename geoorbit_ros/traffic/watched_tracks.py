@@ -27,6 +27,9 @@ Chosen: two lengths of a car, and more than errors of places make; less believes
 LINK_M, LINK_ACROSS_M = 3.0, 2.0
 """A track that begins this near, along and across, to the way on which one just ended goes on from
 it. Chosen: a car's place moves so far when its box is cut by another."""
+STOOD_NS = 30_000_000_000
+"""Where a vehicle waited or crept that long ago, what is seen to wait is a vehicle. Chosen: in a
+queue others hide it for 20 s (`standing.UNSEEN_TICKS`), and its track begins anew."""
 LINK_MPS = 12.0
 """What was faster when its track ended can't stand at once: braking with 8 m/s² it gets `DRIVEN_M`
 far in its new track, and needs nothing from the old one."""
@@ -93,9 +96,8 @@ class WatchedTrack:
             self.pace_mps = hypot(moment.x - oldest.x, moment.y - oldest.y) / time_s
         else:
             self.pace_mps = float("nan")
-        reach = max(STAND_M, STAND_SIGMAS * min(moment.sigma, SHARP_M))
         x, y = self.anchor
-        if hypot(moment.x - x, moment.y - y) <= reach:
+        if hypot(moment.x - x, moment.y - y) <= _reach_m(moment):
             self.here, self.away = self.here + 1, 0
             share = 1.0 / min(self.here, 8)
             if self.here <= 8:
@@ -122,6 +124,7 @@ class WatchedTracks:
         self.tracks: dict[int, WatchedTrack] = {}
         self.now: list[WatchedTrack] = []
         self._start_tick: int | None = None
+        self._stood: list[WatchedTrack] = []
 
     def take(self, tick: int, moments: list[Moment]) -> None:
         """Take a half second."""
@@ -131,6 +134,9 @@ class WatchedTracks:
         for key, track in list(self.tracks.items()):
             if track.last.stamp_ns < now_ns - FORGET_NS:
                 del self.tracks[key]
+                if track.is_slow and track.is_vehicle:
+                    self._stood.append(track)
+        self._stood = [t for t in self._stood if t.last.stamp_ns >= now_ns - STOOD_NS]
         self.now = []
         new = list[WatchedTrack]()
         for moment in moments:
@@ -149,6 +155,8 @@ class WatchedTracks:
             ]
             for track in new:
                 _go_on(track, ended)
+                for stood in self._stood:
+                    _stand_in(track, stood)
         for track, moment in zip(self.now, moments, strict=True):
             track.take(moment)
 
@@ -156,6 +164,11 @@ class WatchedTracks:
         """The map has other lanes from now on."""
         for track in self.tracks.values():
             track.lanes.clear()
+
+
+def _reach_m(moment: Moment) -> float:
+    """How near to a place a moment is still there."""
+    return max(STAND_M, STAND_SIGMAS * min(moment.sigma, SHARP_M))
 
 
 def _go_on(track: WatchedTrack, ended: list[tuple[WatchedTrack, float]]) -> None:
@@ -176,13 +189,23 @@ def _go_on(track: WatchedTrack, ended: list[tuple[WatchedTrack, float]]) -> None
         if speed > SLOW_MPS:
             along = (dx * last.vx + dy * last.vy) / speed
             across = abs(dy * last.vx - dx * last.vy) / speed
+            follows = across <= LINK_ACROSS_M and -LINK_M <= along <= way_m + LINK_M
         else:
-            along, across = 0.0, hypot(dx, dy)
-        if across <= LINK_ACROSS_M and -LINK_M <= along <= way_m + LINK_M:
+            follows = hypot(dx, dy) <= _reach_m(track.first)
+        if follows:
             if speed <= LINK_MPS:
                 track.inherited_m = max(track.inherited_m, other.driven_m)
             for lane, arc in other.lanes.items():
                 track.lanes.setdefault(lane, arc)
+
+
+def _stand_in(track: WatchedTrack, stood: WatchedTrack) -> None:
+    """Let a new track that begins where a vehicle stood be that vehicle, or the next of a queue."""
+    x, y = track.first.x - stood.last.x, track.first.y - stood.last.y
+    if hypot(x, y) <= _reach_m(track.first):
+        track.inherited_m = max(track.inherited_m, stood.driven_m)
+        for lane, arc in stood.lanes.items():
+            track.lanes.setdefault(lane, arc)
 
 
 def along_and_left(x: float, y: float, heading: float, moment: Moment) -> tuple[float, float]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import cos, hypot, isfinite, sin
+from math import atan2, cos, hypot, isfinite, sin
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +12,15 @@ from numpy.typing import NDArray
 from geoorbit_ros.core.lanes import Lane
 from geoorbit_ros.traffic.event_records import EventKind, EventLog
 from geoorbit_ros.traffic.lane_neighbours import same_way
-from geoorbit_ros.traffic.moments import MOVES_MPS, TICK_NS, Moment
-from geoorbit_ros.traffic.watched_tracks import FORGET_NS, SHARP_M, WatchedTrack
+from geoorbit_ros.traffic.moments import JOIN_NS, MOVES_MPS, TICK_NS, Moment
+from geoorbit_ros.traffic.watched_tracks import (
+    FORGET_NS,
+    LINK_ACROSS_M,
+    LINK_M,
+    SHARP_M,
+    WatchedTrack,
+    along_and_left,
+)
 
 LEAST_MOMENTS = 4
 """So many half seconds in a row it must drive against the lane. Chosen: shorter is an id that jumps
@@ -46,12 +53,14 @@ class _Way:
 
     Attributes:
         run: Its moments against the lane, in a row.
-        with_m: Metres in lanes that lead its way.
+        with_m: Metres in lanes that lead its way, the way it drives now.
+        with_heading: Its heading there, radians.
         counted: The lanes (id) and ways in which it was counted.
     """
 
     run: list[Moment]
     with_m: float = 0.0
+    with_heading: float = 0.0
     last_ns: int = 0
     event: NDArray[np.void] | None = None
     counted: tuple[tuple[int, int], ...] = ()
@@ -80,25 +89,48 @@ class WrongWayWatch:
         """Take the tracks of a half second."""
         for track in tracks:
             at = track.last
-            if at.way == 0 and at.track_id not in self._ways:
-                continue
-            way = self._ways.setdefault(at.track_id, _Way([]))
+            way = self._ways.get(at.track_id)
+            if way is None:
+                if at.way == 0:
+                    continue
+                way = self._ways[at.track_id] = _Way([])
             if way.last_ns and at.stamp_ns - way.last_ns > FORGET_NS:
                 self._over(stamp_ns, way)
                 self._ways[at.track_id] = way = _Way([])
+            if not way.run and _is_against(at):
+                self._go_on(way, at)
             way.last_ns = at.stamp_ns
             self._moment(stamp_ns, way, track)
         for key in [k for k, way in self._ways.items() if way.last_ns < stamp_ns - FORGET_NS]:
             self._over(stamp_ns, self._ways.pop(key))
 
+    def _go_on(self, way: _Way, at: Moment) -> None:
+        """Who was hidden goes on under another id where it would have come to by its speed."""
+        for other in self._ways.values():
+            if other is way or not other.run:
+                continue
+            last = other.run[-1]
+            since_s = (at.stamp_ns - last.stamp_ns) * 1e-9
+            if other.last_ns != last.stamp_ns or not 0.0 < since_s <= JOIN_NS * 1e-9:
+                continue
+            way_m = hypot(last.vx, last.vy) * since_s
+            along, left = along_and_left(last.x, last.y, atan2(last.vy, last.vx), at)
+            if abs(left) <= LINK_ACROSS_M and abs(along - way_m) <= LINK_M:
+                way.run, way.with_m, way.with_heading = other.run, other.with_m, other.with_heading
+                way.event, other.event, other.run = other.event, None, []
+                return
+
     def _moment(self, stamp_ns: int, way: _Way, track: WatchedTrack) -> None:
         at = track.last
         if at.way == 1 and isfinite(at.vx):
             way.with_m += hypot(at.vx, at.vy) * TICK_NS * 1e-9
+            way.with_heading = atan2(at.vy, at.vx)
             self._count(way, at)
         if not _is_against(at):
             way.run = []
             return
+        if cos(atan2(at.vy, at.vx) - way.with_heading) < 0.0:
+            way.with_m = 0.0  # the id was another vehicle's: none turns round so fast
         way.run.append(at)
         if way.event is not None:
             return

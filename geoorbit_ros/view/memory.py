@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import re
-import zipfile
-import zlib
 from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from geoorbit_ros.core.array_file import read_arrays
 from geoorbit_ros.core.errors import InputFileError, ParameterError
 from geoorbit_ros.view.picture import picture_of, reduction
 from geoorbit_ros.view.place import Place
@@ -117,10 +116,13 @@ def load_places(file: Path, mark: str) -> tuple[list[Place], tuple[int, int]]:
     if not file.exists():
         return [], (0, 0)
     try:
-        with np.load(file, allow_pickle=False) as content:
-            version, saved_mark, size = content["about"].tolist()
-            views, motions = content["views"].tolist(), content["motions"]
-            pictures = content["pictures"]
+        content = read_arrays(file, "saved views")
+        version, saved_mark, size = content["about"].tolist()
+        views, motions, pictures = (
+            content["views"].tolist(),
+            content["motions"],
+            content["pictures"],
+        )
         width, height = (int(side) for side in size.split("x"))
         step = reduction(width)
         wanted = np.array((sum(count for _, count in views), height // step, width // step))
@@ -130,8 +132,7 @@ def load_places(file: Path, mark: str) -> tuple[list[Place], tuple[int, int]]:
         if motions.shape != (len(views), 3, 3) or not np.isfinite(motions).all():
             raise ValueError(f"motions of {motions.shape}")
     except (
-        OSError, EOFError, ValueError, TypeError, AttributeError, LookupError,
-        NotImplementedError, MemoryError, zlib.error, zipfile.BadZipFile,
+        OSError, ValueError, TypeError, AttributeError, LookupError, OverflowError,
     ) as error:  # fmt: skip
         reason = f"{type(error).__name__}: {error}"
         raise InputFileError(str(file), reason, "saved views") from None

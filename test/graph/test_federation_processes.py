@@ -17,13 +17,14 @@ import pytest
 from camera_host import lesson
 
 from geoorbit_ros.core.resources import share_path
+from geoorbit_ros.core.state_file import StateFile
 from geoorbit_ros.federated.encodings.encoding import make_encoding
 from geoorbit_ros.federated.keys import Roster, Signer
 from geoorbit_ros.federated.rounds.client import FederatedClient
 from geoorbit_ros.federated.rounds.in_process import run_in_process
 from geoorbit_ros.federated.rounds.server import FederatedServer
 from geoorbit_ros.federated.rounds.server_config import ServerConfig
-from geoorbit_ros.federated.rounds.server_state import Answers, ServerState, read_checkpoint
+from geoorbit_ros.federated.rounds.server_state import KIND, Answers, ServerState, read_checkpoint
 from geoorbit_ros.learning.camera_session import INTERFACE
 from geoorbit_ros.learning.meta_learner import MetaLearner
 from geoorbit_ros.nodes.support.composition import DomainClaim
@@ -118,7 +119,7 @@ class Processes:
     def state(self) -> ServerState | None:
         path = self.folder / "server.npz"
         layout = new_server(Roster.read(self.folder / "roster.txt")).layout
-        return read_checkpoint(path, layout, Answers(()))
+        return read_checkpoint(StateFile(path, KIND), layout, Answers(()))
 
 
 @pytest.fixture

@@ -16,10 +16,11 @@ from pathlib import Path
 
 import pytest
 
+from geoorbit_ros.core.state_file import StateFile
 from geoorbit_ros.federated.keys import Roster, Signer
 from geoorbit_ros.federated.rounds.server import FederatedServer
 from geoorbit_ros.federated.rounds.server_config import ServerConfig
-from geoorbit_ros.federated.rounds.server_state import Answers, read_checkpoint
+from geoorbit_ros.federated.rounds.server_state import KIND, Answers, read_checkpoint
 from geoorbit_ros.learning.camera_session import INTERFACE
 from geoorbit_ros.learning.meta_learner import MetaLearner
 
@@ -155,7 +156,7 @@ def test_cameras_on_hosts_of_their_own_train_with_a_server_on_a_third(
     config = ServerConfig(rounds=ROUNDS, encoding="top_k", interface=INTERFACE)
     tensors = MetaLearner.untrained(0).tensors()
     server = FederatedServer(config, tensors, Roster.read(tmp_path / "roster.txt"))
-    state = read_checkpoint(tmp_path / "server.npz", server.layout, Answers(()))
+    state = read_checkpoint(StateFile(tmp_path / "server.npz", KIND), server.layout, Answers(()))
     assert state is not None
     assert state.finished
     assert [record.updates for record in state.history] == [*[len(CAMERAS)] * ROUNDS, 0]

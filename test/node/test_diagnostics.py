@@ -48,8 +48,9 @@ def test_a_frame_of_the_present_has_an_age_and_a_recording_has_none(nodes: Compo
     send(10**9, np.empty(0, TRACK_DTYPE))
     probe.until(lambda: node.diagnostics.received == 1, "the frame of 1970")
     assert probe.status_of("/north/lane_geometry")["age_ms_p99"] == ""
-    send(time.time_ns() - 250_000_000, np.empty(0, TRACK_DTYPE))
-    probe.until(lambda: node.diagnostics.received == 2, "the frame of a quarter second ago")
+    for age_ns in (350_000_000, 250_000_000):  # the second says that the first was no wrong stamp
+        send(time.time_ns() - age_ns, np.empty(0, TRACK_DTYPE))
+    probe.until(lambda: node.diagnostics.received == 3, "the frames of a quarter second ago")
     assert float(probe.status_of("/north/lane_geometry")["age_ms_p99"]) > 250.0
 
 

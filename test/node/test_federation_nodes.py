@@ -254,7 +254,7 @@ def test_a_worker_that_fails_is_named_and_the_node_goes_on(
             return future
 
     roster = tmp_path / "roster.txt"
-    roster.write_text("north\n")
+    roster.write_text("north unsigned\n")
     nodes.make(FederatedServerNode, "/", {"roster": str(roster)})
     client = nodes.make(MetaClientNode, "north", LOSSLESS | {"observation_s": 1.0})
     client.session._executor = Broken()
@@ -282,7 +282,7 @@ def test_work_that_a_killed_process_takes_with_it_is_done_once_more(
 
     monkeypatch.setattr(camera_session, "learn_from_camera", learned)
     roster = tmp_path / "roster.txt"
-    roster.write_text("north\n")
+    roster.write_text("north unsigned\n")
     server = nodes.make(FederatedServerNode, "/", {"roster": str(roster), "rounds": 2})
     client = nodes.make(MetaClientNode, "north", LOSSLESS | {"observation_s": 1.0})
     client.session._executor = Killed()
@@ -303,7 +303,7 @@ def test_a_mistake_of_the_strategy_stops_training_and_is_reported_with_its_line(
         "from geoorbit_ros.federated.strategies.strategy import Strategy\n"
         "class Own(Strategy):\n    def step(self, aggregate):\n        return aggregate[1:]\n"
     )
-    roster.write_text("north\n")
+    roster.write_text("north unsigned\n")
     given = {"roster": str(roster), "rounds": 2, "strategy": f"{own}:Own"}
     server = nodes.make(FederatedServerNode, "/", given)
     client = nodes.make(MetaClientNode, "north", LOSSLESS | {"observation_s": 1.0})
@@ -314,4 +314,4 @@ def test_a_mistake_of_the_strategy_stops_training_and_is_reported_with_its_line(
     nodes.wait(lambda: bool(server._fault), LIMIT_S, "the fault")
     assert f"training stopped: {own}, line 3, Own.step: found an array of shape" in server._fault
     assert [check() for check in server.diagnostics._checks] == [server._fault]
-    assert (server.server.round, len(server.server.history)) == (1, 1)
+    assert (server.server.round, len(server.server.history)) == (1, 0)  # nothing is half done

@@ -36,6 +36,11 @@ export`."""
 _ERRORS_ONLY = 3
 """onnxruntime's log level for errors and worse."""
 _TASKS = ("detect", "segment")
+MAX_METADATA = 200_000
+"""Characters of an entry. Chosen: 600 class names have 15,000; Python's parser takes a thousand
+times the length in memory, and a model is a file of somebody else."""
+MAX_NUMBER = 1 << 20
+"""Largest size, stride or class number that a model may name."""
 _DEFAULT_STRIDE = 32
 """Inputs are multiples of this where the file doesn't say: the stride of all YOLO models without
 P6."""
@@ -74,14 +79,14 @@ def parse_metadata(entries: Mapping[str, str], place: str) -> OnnxMetadata:
     names = _value(entries, "names", place, {})
     if isinstance(names, list | tuple):
         names = dict(enumerate(names))
-    _check(isinstance(names, dict), entries, "names", place)
+    _check(isinstance(names, dict) and all(map(_is_number, names)), entries, "names", place)
     size = _value(entries, "imgsz", place, None)
     if isinstance(size, int):
         size = [size, size]
     sound = size is None or (isinstance(size, list | tuple) and len(size) == 2)
-    _check(sound and all(isinstance(n, int) and n > 0 for n in size or ()), entries, "imgsz", place)
+    _check(sound and all(_is_number(n, 1) for n in size or ()), entries, "imgsz", place)
     stride = _value(entries, "stride", place, _DEFAULT_STRIDE)
-    _check(isinstance(stride, int) and stride > 0, entries, "stride", place)
+    _check(_is_number(stride, 1), entries, "stride", place)
     arguments = _value(entries, "args", place, {})
     end2end = _value(entries, "end2end", place, None)
     if isinstance(arguments, dict) and arguments.get("nms"):
@@ -100,10 +105,18 @@ def _value(entries: Mapping[str, str], key: str, place: str, default: Any) -> An
     """An entry, which holds a Python literal as text."""
     if key not in entries:
         return default
+    _check(len(entries[key]) <= MAX_METADATA, entries, key, place)
     try:
         return ast.literal_eval(entries[key])
-    except (ValueError, SyntaxError):
+    except (ValueError, SyntaxError, TypeError, RecursionError, MemoryError):
         _check(False, entries, key, place)
+
+
+def _is_number(value: object, least: int = 0) -> bool:
+    """Whether a value is a whole number of a sensible size, or in digits."""
+    if isinstance(value, str) and value.isascii() and value.isdecimal() and len(value) < 8:
+        value = int(value)
+    return isinstance(value, int) and least <= value <= MAX_NUMBER
 
 
 def _check(sound: bool, entries: Mapping[str, str], key: str, place: str) -> None:

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from geoorbit_ros.core.errors import InputFileError
+from geoorbit_ros.core.state_file import StateFile
 from geoorbit_ros.federated.encodings.encoding import Encoding, ErrorFeedback, decode_vector
 from geoorbit_ros.federated.encodings.floats import Float32
 from geoorbit_ros.federated.errors import PayloadError, Refusal
@@ -26,6 +28,7 @@ from geoorbit_ros.federated.payloads.header import UNSIGNED, schema_of
 from geoorbit_ros.federated.payloads.model_layout import Tensors, Vector
 from geoorbit_ros.federated.privacy.masked_rounds import MaskedClient
 from geoorbit_ros.federated.rounds.client_state import (
+    KIND,
     ClientState,
     read_client_state,
     write_client_state,
@@ -65,9 +68,11 @@ class FederatedClient:
     Attributes:
         id: Its number in payloads.
         refused: Payloads refused since the start, by reason.
+        fault: Why its state is not saved at present, such as a full disk; empty: it is.
+        notes: What was found wrong with the state file, in sentences.
 
     Raises:
-        FederationError: A state file that is none.
+        NewerStateError: A state file of a newer version.
     """
 
     def __init__(
@@ -87,8 +92,10 @@ class FederatedClient:
         self.id = client_id(camera_id, self._signer.public)
         self._verifier = Verifier(server_key, federation)
         self._encoding = encoding or Float32()
-        self._interface, self._path = interface, state_path
-        self._state = read_client_state(state_path) if state_path else None
+        self._interface, self._server = interface, server_key.hex() if server_key else ""
+        self._file = StateFile(state_path, KIND) if state_path else None
+        self._state = read_client_state(self._file, self._server) if self._file else None
+        self.notes, self.fault = self._file.told if self._file else [], ""
         self.finished = self._asynchronous = self._masks = False
         self._masked = MaskedClient(self.id, self._signer, self._verifier)
         self.refused: Counter[Refusal] = Counter()
@@ -187,8 +194,7 @@ class FederatedClient:
         update = self._update(self._encoding.code, work, result, data)
         state.update = self._signer.seal(update.unsigned())
         state.answered, state.answered_model = work.round, work.model
-        if self._path:
-            write_client_state(self._path, state)
+        self._save(state)
         return state.update
 
     def answer(self, payload: bytes) -> bytes | None:
@@ -226,8 +232,7 @@ class FederatedClient:
         update = self._update(Float32().code, work, result, data)
         state.update = update.unsigned() + UNSIGNED
         state.answered, state.answered_model = work.round, work.model
-        if self._path:
-            write_client_state(self._path, state)
+        self._save(state)
         return self._masked.begin(state.update, state.layout.size)
 
     def _update(self, encoding: int, work: Work, result: LocalResult, data: bytes) -> ClientUpdate:
@@ -248,7 +253,10 @@ class FederatedClient:
         known = (state.run, state.round) if state else (0, 0)
         if (model.run, model.round) < known:
             found = f"run {model.run}, round {model.round}"
-            raise PayloadError(Refusal.OLD_ROUND, "model", found, f"run, round {known} or later")
+            expected = f"run, round {known} or later"
+            if model.run < known[0]:
+                expected += "; has the server lost its checkpoint and its time? Give it a new key"
+            raise PayloadError(Refusal.OLD_ROUND, "model", found, expected)
         self._verifier.check(payload, "model")
         if self._interface and model.interface != self._interface:
             found, expected = f"interface {model.interface:08x}", f"{self._interface:08x}"
@@ -259,6 +267,7 @@ class FederatedClient:
         if state is None or state.run != model.run or state.layout != model.layout:
             nothing = np.zeros(model.layout.size, np.float32)
             state = ClientState(model.layout, model.run, 0, vector, 0, 0.0, nothing)
+            state.server = self._server
         before = state.digest, state.model
         state.round, state.model, state.digest = model.round, np.array(vector), model.model
         state.proximal_mu, state.validation_divisor = model.proximal_mu, model.validation_divisor
@@ -302,11 +311,18 @@ class FederatedClient:
         known = {0: state.model, before[0]: before[1], state.digest: state.model}
         state.used = approved if approved in known else 0
         state.used_model = known[state.used]
-        if self._path and state.used not in (
-            0,
-            state.digest,
-        ):  # which the server will not send again
-            write_client_state(self._path, state)
+        if self.fault or state.used not in (0, state.digest):  # which is not sent again
+            self._save(state)
+
+    def _save(self, state: ClientState) -> None:
+        """Keep the state, or say why not: a full disk costs what a restart would forget, only."""
+        if self._file is None:
+            return
+        try:
+            write_client_state(self._file, state)
+            self.fault = ""
+        except InputFileError as error:
+            self.fault = f"learning is not saved: {error}"
 
     def _check_not_over(self, run: int, number: int, flags: int) -> None:
         """Refuse a broadcast from before the last one, which was for the same model."""

@@ -4,28 +4,18 @@ from __future__ import annotations
 
 import io
 import json
-import zipfile
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from geoorbit_ros.core.errors import GeoOrbitError
-from geoorbit_ros.federated.errors import FederationError
+from geoorbit_ros.core.array_file import read_arrays
+from geoorbit_ros.core.state_file import NewerStateError, StateFile
 from geoorbit_ros.federated.payloads.model_layout import ModelLayout, Vector
-from geoorbit_ros.storage.atomic import atomic_output
 
-FORMAT = 2
-"""Of the file."""
-_UNREADABLE = (
-    OSError,
-    EOFError,
-    ValueError,
-    KeyError,
-    TypeError,
-    zipfile.BadZipFile,
-    GeoOrbitError,
-)
+FORMAT = 3
+"""Of the file. 2: validation; 3: the server's key. Older ones are read."""
+KIND = "a state of meta_client"
 
 
 @dataclass(slots=True)
@@ -46,6 +36,7 @@ class ClientState:
         validation_divisor: Names the validation clients, see `verdict.is_validation_client`.
         used: Digest of the model in use, which was approved; 0: none is.
         used_model: Its weights, shape (size,).
+        server: Public key of the server that all of this is from, in hex digits; empty: unsigned.
     """
 
     layout: ModelLayout
@@ -61,9 +52,10 @@ class ClientState:
     validation_divisor: int = 0
     used: int = 0
     used_model: Vector = field(default_factory=lambda: np.zeros(0, np.float32))
+    server: str = ""
 
 
-def write_client_state(path: Path, state: ClientState) -> None:
+def write_client_state(file: StateFile, state: ClientState) -> None:
     """Replace the file.
 
     Raises:
@@ -82,6 +74,7 @@ def write_client_state(path: Path, state: ClientState) -> None:
         "update": state.update.hex(),
         "validation_divisor": state.validation_divisor,
         "used": state.used,
+        "server": state.server,
     }
     buffer = io.BytesIO()
     np.savez(
@@ -92,37 +85,58 @@ def write_client_state(path: Path, state: ClientState) -> None:
         used_model=state.used_model,
         facts=np.frombuffer(json.dumps(facts).encode(), np.uint8),
     )
-    with atomic_output(path) as temporary:
-        temporary.write_bytes(buffer.getvalue())
+    file.write(buffer.getvalue())
 
 
-def read_client_state(path: Path) -> ClientState | None:
-    """The state in a file; None when there is none.
+def read_client_state(file: StateFile, server: str) -> ClientState | None:
+    """The state in a file; None when there is none that can be used.
+
+    A damaged one is set aside, and so is what was learned under another key of the server: a
+    server that has lost everything begins anew with a new key.
+
+    Args:
+        file: The file.
+        server: Public key of the server, in hex digits; empty: unsigned.
 
     Raises:
-        FederationError: A file that is none of this kind.
+        NewerStateError: A file of a newer version.
     """
-    if not path.exists():
+    state = file.read(_client_state)
+    if state is not None and state.server and state.server != server:
+        file.told.append(f"{file.path}: the server has another key, learning begins anew")
         return None
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        facts = json.loads(arrays["facts"].tobytes())
-        layout = ModelLayout(tuple(facts["names"]), tuple(map(tuple, facts["shapes"])))
-        return ClientState(
-            layout,
-            facts["run"],
-            facts["round"],
-            arrays["model"],
-            facts["digest"],
-            facts["proximal_mu"],
-            arrays["residual"],
-            facts["answered"],
-            facts["answered_model"],
-            bytes.fromhex(facts["update"]),
-            facts.get("validation_divisor", facts.get("judges")),
-            facts["used"],
-            arrays["used_model"],
-        )
-    except _UNREADABLE as error:
-        raise FederationError(str(path), error, "a state of meta_client") from None
+    if state is not None:
+        state.server = server
+    return state
+
+
+def _client_state(path: Path) -> ClientState:
+    arrays = read_arrays(path, KIND)
+    facts = json.loads(arrays["facts"].tobytes())
+    version = facts.get("format", 1)
+    if version > FORMAT:
+        found = f"format {version}, of a newer version"
+        raise NewerStateError(str(path), found, f"{KIND}, format {FORMAT} or older")
+    layout = ModelLayout(tuple(facts["names"]), tuple(map(tuple, facts["shapes"])))
+    none = np.zeros(0, np.float32)
+    state = ClientState(
+        layout,
+        facts["run"],
+        facts["round"],
+        arrays["model"],
+        facts["digest"],
+        facts["proximal_mu"],
+        arrays["residual"],
+        facts["answered"],
+        facts["answered_model"],
+        bytes.fromhex(facts["update"]),
+        facts.get("validation_divisor", facts.get("judges", 0)),
+        facts.get("used", 0),
+        arrays.get("used_model", none),
+        facts.get("server", ""),
+    )
+    used = state.used_model if state.used else state.model
+    for name, vector in (("model", state.model), ("residual", state.residual), ("used", used)):
+        if vector.shape != (layout.size,):
+            raise ValueError(f"{name} of shape {vector.shape}")
+    return state

@@ -10,18 +10,23 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.core.errors import InputFileError
+from geoorbit_ros.core.state_file import StateFile
 from geoorbit_ros.federated.errors import FederationError, PayloadError, Refusal
 from geoorbit_ros.federated.keys import Roster, Signer
 from geoorbit_ros.federated.payloads.client_update import ClientUpdate
 from geoorbit_ros.federated.payloads.global_model import ASYNCHRONOUS, FINAL, MASKED, VALIDATING
 from geoorbit_ros.federated.payloads.model_layout import ModelLayout, Tensors, Vector
-from geoorbit_ros.federated.privacy.differential import clipped, normal_noise
+from geoorbit_ros.federated.privacy.differential import clipped
 from geoorbit_ros.federated.privacy.masked_rounds import STAGE_S, MaskedRound
+from geoorbit_ros.federated.rounds.closing import Closing
+from geoorbit_ros.federated.rounds.epoch import Epochs, Resumption
 from geoorbit_ros.federated.rounds.model_broadcast import ModelBroadcast
 from geoorbit_ros.federated.rounds.open_round import OpenRound, Outcome
 from geoorbit_ros.federated.rounds.selection import make_selection
 from geoorbit_ros.federated.rounds.server_config import ServerConfig, check_settings
 from geoorbit_ros.federated.rounds.server_state import (
+    KIND,
     Answers,
     RoundRecord,
     ServerState,
@@ -36,6 +41,9 @@ from geoorbit_ros.federated.rounds.verdict import (
     is_validation_client,
 )
 from geoorbit_ros.federated.strategies.strategy import FedAvg, Strategy
+
+RETRY_S = 5.0
+"""Between two tries to save a round. Chosen: longer delays the next round once there is room."""
 
 
 class FederatedServer:
@@ -67,9 +75,12 @@ class FederatedServer:
         strategy: Makes a model of updates; default: FedAvg.
         signer: Signs what is sent; default: unsigned.
         checkpoint: File to resume from and to write after each round; default: none.
+        epochs: Numbers the run; default: by the settings alone.
 
     Attributes:
         asynchronous: Whether updates to earlier models are taken, too.
+        fault: Why the server waits, such as a full disk; empty: it does not.
+        notes: What the operator should know of the start, in sentences.
         accepted: Updates taken since the start.
         refused: Updates refused since the start, by reason.
 
@@ -86,6 +97,7 @@ class FederatedServer:
         strategy: Strategy | None = None,
         signer: Signer | None = None,
         checkpoint: Path | None = None,
+        epochs: Epochs | None = None,
     ) -> None:
         self.config, self.layout = config, ModelLayout.of(tensors)
         self._members = tuple(roster)
@@ -107,15 +119,27 @@ class FederatedServer:
             signer or Signer(None, config.federation),
             self._strategy.proximal_mu,
         )
+        self._closing = Closing(config, self._strategy, self._broadcast, bool(self._validating))
         counts = (len(m) for m in (self._members, self._training, self._validating))
         check_settings(config, self._strategy, *counts)
-        self._checkpoint = checkpoint
+        self._epochs = epochs or Epochs(None)
+        self._checkpoint = StateFile(checkpoint, KIND) if checkpoint else None
         first = self.layout.flatten(tensors)
         answers = Answers(self._members)
-        saved = read_checkpoint(checkpoint, self.layout, answers) if checkpoint else None
+        saved = (
+            read_checkpoint(self._checkpoint, self.layout, answers) if self._checkpoint else None
+        )
         self.resumed = saved is not None
-        self._state = saved or ServerState(config.run, first, first, answers)
-        self._strategy.restore(self._state.optimiser)
+        self._state = saved or ServerState(self._epochs.next(config.run), first, first, answers)
+        self._next: ServerState | None = None
+        self.fault, self._retry_s = "", 0.0
+        self.notes = list(self._epochs.told)
+        if roster.unsigned:
+            names = ", ".join(roster.unsigned)
+            self.notes.append(f"updates are taken unsigned, in whosever name, of: {names}")
+        if saved and self._checkpoint:
+            resumption = Resumption(config, self.layout, self._epochs, self._checkpoint)
+            self.notes += resumption.take_up(saved, self._strategy)
         self.accepted = 0
         self.refused: Counter[Refusal] = Counter()
         self._selected: frozenset[int] = frozenset()
@@ -128,6 +152,11 @@ class FederatedServer:
     def tensors(self) -> Tensors:
         """The model as it stands."""
         return self.layout.unflatten(self._state.model)
+
+    @property
+    def longest(self) -> int:
+        """Bytes of the longest payload that a client may have to send, masked or not."""
+        return 16 * self.layout.size + 1024 * len(self._members) + 65536
 
     @property
     def published(self) -> Tensors:
@@ -198,7 +227,7 @@ class FederatedServer:
         """
         if not self.resumed:
             self._broadcast.advance(self._state)
-            self._save()
+            self._save(self._state)
         announce = self._broadcast.repeat if self.resumed else self._broadcast.announce
         return announce(self._state, self._open(now_s), self._flags)
 
@@ -212,6 +241,9 @@ class FederatedServer:
             PayloadError: It was refused; the server goes on as if it had never come.
         """
         try:
+            if self._next is not None:
+                expected = "none: the round is over and waits to be saved"
+                raise PayloadError(Refusal.OLD_ROUND, "update", "one more update", expected)
             if self._masked is not None:
                 return self._receive_masked(self._masked, payload, now_s)
             update, vector = self._checks.check(payload, self._state, self._selected)
@@ -229,6 +261,8 @@ class FederatedServer:
             The next payload for all clients, when a deadline has passed: that of the next round or
             step if there is a quorum, else this round's again, now open to all.
         """
+        if self._next is not None:
+            return self._go_on(now_s) if now_s >= self._retry_s else None
         waits_for_time = not self.finished and (self._state.trained or not self.asynchronous)
         if not waits_for_time or now_s < self._deadline_s:
             return None
@@ -321,7 +355,7 @@ class FederatedServer:
         self.accepted += 1
         return self._advance_masked(masked, now_s) if masked.coordinator.complete else None
 
-    def _advance_masked(self, masked: MaskedRound, now_s: float) -> bytes:
+    def _advance_masked(self, masked: MaskedRound, now_s: float) -> bytes | None:
         """End a step: the next one, the next round, or this round again where it failed."""
         if not masked.enough:
             return self._again(now_s)
@@ -337,47 +371,34 @@ class FederatedServer:
             return self._again(now_s)
         return self._close(outcome, now_s)
 
-    def _close(self, outcome: Outcome, now_s: float) -> bytes:
-        """Note the verdict, make the next model, keep it, announce it."""
-        state = self._state
-        self._record(outcome, now_s)
-        if state.trained:
-            state.finished = True
-            self._save()
-            self._open(now_s)
+    def _close(self, outcome: Outcome, now_s: float) -> bytes | None:
+        """Note the verdict and make the next model, then go on with it."""
+        self._next = self._closing.successor(self._state, outcome, now_s - self._opened_s)
+        return self._go_on(now_s)
+
+    def _go_on(self, now_s: float) -> bytes | None:
+        """Save the next state, then take it, then announce it: no update is applied twice.
+
+        Where it can't be saved the server waits and tries again, and makes nothing anew.
+        """
+        assert self._next is not None
+        state, over = self._next, self._state.trained
+        try:
+            self._save(state)
+        except InputFileError as error:
+            self.fault = f"round {self.round} is over and can not be saved: {error}"
+            self._retry_s = now_s + RETRY_S
+            return None
+        self._state, self._next, self.fault = state, None, ""
+        chosen = self._open(now_s)
+        if over:
             return self._broadcast.again(state, self._flags)
-        self._advance(outcome)
-        self._save()
-        return self._broadcast.announce(state, self._open(now_s), self._flags)
+        return self._broadcast.announce(state, chosen, self._flags)
 
-    def _record(self, outcome: Outcome, now_s: float) -> None:
-        """Keep what came of the round; with fewer than two gains the last verdict stands."""
-        state, verdict = self._state, outcome.gains.verdict()
-        if verdict is not None:
-            state.approved = state.digests[state.round] if verdict.accepted else 0
-        record = RoundRecord.of(state.round, outcome, verdict, now_s - self._opened_s)
-        state.history.append(record)
-
-    def _advance(self, outcome: Outcome) -> None:
-        """Make the next model."""
-        state, config, aggregate = self._state, self.config, outcome.aggregate
-        if config.noise_multiplier:
-            noise = normal_noise(state.secret, state.round, self.layout.size)
-            spread = config.noise_multiplier * config.clip_norm / outcome.training_clients
-            aggregate = aggregate + spread * noise
-        change = self._strategy.step(aggregate)
-        state.model = (state.model + change).astype(np.float32)
-        state.optimiser = self._strategy.state()
-        state.round += 1
-        state.trained = state.round > config.rounds or outcome.loss <= config.target_loss
-        state.finished = state.trained and not self._validating
-        self._broadcast.advance(state)
-        oldest = state.round - config.max_staleness - 1
-        state.digests = {n: digest for n, digest in state.digests.items() if n >= oldest}
-
-    def _save(self) -> None:
+    def _save(self, state: ServerState) -> None:
+        self._epochs.note(state.run)
         if self._checkpoint is not None:
-            write_checkpoint(self._checkpoint, self.layout, self._state)
+            write_checkpoint(self._checkpoint, self.layout, state)
 
     @property
     def _flags(self) -> int:

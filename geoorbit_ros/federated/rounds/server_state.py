@@ -5,20 +5,20 @@ from __future__ import annotations
 import io
 import json
 import os
-import zipfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geoorbit_ros.core.errors import GeoOrbitError
+from geoorbit_ros.core.array_file import read_arrays
+from geoorbit_ros.core.state_file import NewerStateError, StateFile
 from geoorbit_ros.federated.errors import FederationError
 from geoorbit_ros.federated.payloads.model_layout import ModelLayout, Vector
 from geoorbit_ros.federated.rounds.open_round import Outcome
 from geoorbit_ros.federated.rounds.verdict import Verdict
-from geoorbit_ros.storage.atomic import atomic_output
 
 
 class Answers:
@@ -62,17 +62,9 @@ class Answers:
                 self.note(member, int(number), float(value))
 
 
-FORMAT = 2
-"""Of the checkpoint."""
-_UNREADABLE = (
-    OSError,
-    EOFError,
-    ValueError,
-    KeyError,
-    TypeError,
-    zipfile.BadZipFile,
-    GeoOrbitError,
-)
+FORMAT = 3
+"""Of the checkpoint. 2: verdicts; 3: the strategy's name. Older ones are read."""
+KIND = "a checkpoint of federated_server"
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,6 +126,7 @@ class ServerState:
         digests: Digest of each model that an update may still name, by round.
         history: Records of all rounds so far.
         secret: 32 bytes for noise that must stay unpredictable.
+        strategy: Name of the strategy that `optimiser` is of; empty: not known.
     """
 
     run: int
@@ -148,9 +141,26 @@ class ServerState:
     digests: dict[int, int] = field(default_factory=dict)
     history: list[RoundRecord] = field(default_factory=list)
     secret: bytes = field(default_factory=lambda: os.urandom(32))
+    strategy: str = ""
+
+    def renew(self, run: int, layout: ModelLayout) -> None:
+        """Begin another run with the model as it stands: clients take it, and answer anew."""
+        digest = layout.digest(self.published, run)
+        self.approved = digest if self.approved == self.digests.get(self.round) else 0
+        self.run, self.digests = run, {self.round: digest}
+        self.answers.answered[:] = 0
+
+    def successor(self) -> ServerState:
+        """A copy that can become the next state, while this one stays as it is."""
+        return replace(
+            self,
+            optimiser=dict(self.optimiser),
+            digests=dict(self.digests),
+            history=list(self.history),
+        )
 
 
-def write_checkpoint(path: Path, layout: ModelLayout, state: ServerState) -> None:
+def write_checkpoint(file: StateFile, layout: ModelLayout, state: ServerState) -> None:
     """Replace the checkpoint: after a crash or power loss it is the old one or the new one.
 
     Raises:
@@ -167,6 +177,7 @@ def write_checkpoint(path: Path, layout: ModelLayout, state: ServerState) -> Non
         "approved": state.approved,
         "history": [list(asdict(record).values()) for record in state.history],
         "secret": state.secret.hex(),
+        "strategy": state.strategy,
     }
     arrays: dict[str, NDArray[np.generic]] = {
         f"optimiser_{name}": value for name, value in state.optimiser.items()
@@ -182,35 +193,47 @@ def write_checkpoint(path: Path, layout: ModelLayout, state: ServerState) -> Non
     }
     buffer = io.BytesIO()
     np.savez(buffer, allow_pickle=False, **arrays)
-    with atomic_output(path) as temporary:
-        temporary.touch(mode=0o600)
-        temporary.write_bytes(buffer.getvalue())
-    folder = os.open(path.absolute().parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)  # the new name itself: power loss, not kill
-    finally:
-        os.close(folder)
+    file.write(buffer.getvalue())
 
 
-def read_checkpoint(path: Path, layout: ModelLayout, answers: Answers) -> ServerState | None:
+def read_checkpoint(file: StateFile, layout: ModelLayout, answers: Answers) -> ServerState | None:
     """The state in a checkpoint, its answers filled in; None when there is none.
 
     Raises:
-        FederationError: A file that is no checkpoint, or one of another model.
+        FederationError: Files that are no checkpoint, or one of another model.
+        NewerStateError: One of a newer version.
     """
-    if not path.exists():
+    found = file.read(_checkpoint)
+    if found is None:
+        if file.told:
+            raise FederationError(
+                str(file.path), "; ".join(file.told), "a checkpoint, or none to begin anew"
+            )
         return None
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        facts = json.loads(arrays.pop("facts").tobytes())
-        found = ModelLayout(tuple(facts["names"]), tuple(map(tuple, facts["shapes"])))
-        state = _state(facts, arrays, answers)
-    except _UNREADABLE as error:
-        raise FederationError(str(path), error, "a checkpoint of federated_server") from None
-    if found != layout:
-        raise FederationError(str(path), found.describe(), layout.describe())
-    return state
+    stored, facts, arrays = found
+    if stored != layout:
+        raise FederationError(str(file.path), stored.describe(), layout.describe())
+    columns = [arrays[name].tolist() for name in ("members", "answered", "utility")]
+    answers.take_over(*columns)
+    return _state(facts, arrays, answers)
+
+
+_Checkpoint = tuple[ModelLayout, dict[str, Any], dict[str, NDArray[Any]]]
+
+
+def _checkpoint(path: Path) -> _Checkpoint:
+    """What is in a file, in the present format, and whole."""
+    arrays = read_arrays(path, KIND)
+    facts = json.loads(arrays.pop("facts").tobytes())
+    version = facts.get("format", 1)
+    if version > FORMAT:
+        found = f"format {version}, of a newer version"
+        raise NewerStateError(str(path), found, f"{KIND}, format {FORMAT} or older")
+    if version < 2:
+        facts |= {"trained": facts["finished"], "approved": 0}
+    layout = ModelLayout(tuple(facts["names"]), tuple(map(tuple, facts["shapes"])))
+    _state(facts, arrays, Answers(()))
+    return layout, facts, arrays
 
 
 def _state(
@@ -218,8 +241,6 @@ def _state(
 ) -> ServerState:
     prefix = "optimiser_"
     history = facts["history"]
-    columns = [arrays[name].tolist() for name in ("members", "answered", "utility")]
-    answers.take_over(*columns)
     assert isinstance(history, list)
     return ServerState(
         run=int(str(facts["run"])),
@@ -234,6 +255,7 @@ def _state(
         digests={k: int(v) for k, v in zip(*_rows(arrays["digests"]), strict=True)},
         history=[RoundRecord(*row) for row in history],
         secret=bytes.fromhex(str(facts["secret"])),
+        strategy=str(facts.get("strategy", "")),
     )
 
 

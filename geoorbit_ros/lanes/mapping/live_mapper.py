@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import zipfile
+import io
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,8 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.datum import Datum
+from geoorbit_ros.core.array_file import read_arrays
 from geoorbit_ros.core.errors import InputFileError, PluginError
 from geoorbit_ros.core.lanes import LaneMap
+from geoorbit_ros.core.state_file import UNREADABLE, StateFile
 from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.lanes.mapping.mapper import LaneMapper
 from geoorbit_ros.lanes.parameters import LaneParameters
@@ -28,12 +30,16 @@ class LaneMemory:
     """Saves a mapper now and then, and gives its state to a fresh one.
 
     Args:
-        file: Where; made with its folder when first saved.
+        file: Where; made with its folder when first saved. A damaged one is set aside.
         estimator: Name of the method: one method's memory means nothing to another.
+
+    Attributes:
+        told: What was set aside, in sentences.
     """
 
     def __init__(self, file: Path, estimator: str) -> None:
-        self._file, self._name = file, estimator
+        self._file, self._name = StateFile(file, "a saved lane map"), estimator
+        self.told = self._file.told
         self._saved_ns: int | None = None
 
     def resume(self, mapper: LaneMapper, datum: Datum, stamp_ns: int) -> bool:
@@ -48,19 +54,18 @@ class LaneMemory:
             False when there is nothing to resume from.
 
         Raises:
-            InputFileError: A file that is broken, or of another method, format or datum.
+            InputFileError: A sound file, of another method, format or datum.
         """
-        if not self._file.exists():
+        found = self._file.read(_content)
+        if found is None:
             return False
+        about, state = found
+        self._check(about, datum)
         try:
-            with np.load(self._file, allow_pickle=False) as content:
-                state = dict(content)
-            about = state.pop("about").tolist()
-            self._check(about, datum)
             mapper.restore(state, stamp_ns)
-        except (OSError, EOFError, ValueError, LookupError, zipfile.BadZipFile) as error:
+        except UNREADABLE as error:
             reason = f"{type(error).__name__}: {error}"
-            raise InputFileError(str(self._file), reason, "a saved lane map") from error
+            raise InputFileError(str(self._file.path), reason, "a saved lane map") from error
         return True
 
     def save_if_due(self, mapper: LaneMapper, datum: Datum, stamp_ns: int) -> bool:
@@ -83,16 +88,10 @@ class LaneMemory:
         Raises:
             InputFileError: The file can't be written.
         """
+        buffer = io.BytesIO()
         arrays: dict[str, Any] = {"about": np.array(self._about(datum)), **mapper.state()}
-        scratch = self._file.with_name(f".{self._file.name}.new")
-        try:
-            self._file.parent.mkdir(parents=True, exist_ok=True)
-            with scratch.open("wb") as stream:
-                np.savez(stream, **arrays)
-            scratch.replace(self._file)
-        except OSError as error:
-            found = error.strerror or str(error)
-            raise InputFileError(str(self._file), found, "a place that can be written to") from None
+        np.savez(buffer, **arrays)
+        self._file.write(buffer.getvalue(), sync=False)
 
     def _about(self, datum: Datum) -> list[str]:
         origin = f"{datum.latitude_deg!r} {datum.longitude_deg!r}"
@@ -101,8 +100,14 @@ class LaneMemory:
     def _check(self, about: list[str], datum: Datum) -> None:
         for found, wanted in zip(about, self._about(datum), strict=True):
             if found != wanted:
-                place = str(self._file)
+                place = str(self._file.path)
                 raise InputFileError(place, f"saved for '{found}'", f"'{wanted}' as it is now")
+
+
+def _content(path: Path) -> tuple[list[str], dict[str, NDArray[Any]]]:
+    """What the file is about, and the mapper's arrays."""
+    state = read_arrays(path, "a saved lane map")
+    return state.pop("about").tolist(), state
 
 
 class LiveMapper:
@@ -177,7 +182,10 @@ class LiveMapper:
     def _resume(self, memory: LaneMemory, datum: Datum, stamp_ns: int) -> LaneMap | None:
         mapper = self._fresh(self.parameters)
         try:
-            if not memory.resume(mapper, datum, stamp_ns):
+            resumed = memory.resume(mapper, datum, stamp_ns)
+            for sentence in memory.told:
+                self._warn(sentence)
+            if not resumed:
                 return None
         except (InputFileError, PluginError) as error:
             self._warn(f"lanes start anew: {error}")

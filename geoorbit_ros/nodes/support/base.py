@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import time
-from collections.abc import Mapping
+import traceback
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from rclpy.context import Context
@@ -12,7 +15,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 
-from geoorbit_ros.core.errors import GeoOrbitError, MessageError
+from geoorbit_ros.core.errors import GeoOrbitError, MessageError, disk_fault
 from geoorbit_ros.nodes.support.diagnostics import Diagnostics
 from geoorbit_ros.parameters import NodeParameters, undeclared
 
@@ -21,6 +24,16 @@ PUBLISH_TIMEOUT_S = 30.0
 reader that hangs is reported later; smaller, one that is busy for a while loses messages."""
 
 Struct = TypeVar("Struct")
+
+
+def failure(error: Exception, place: str) -> GeoOrbitError:
+    """What ended a piece of work, with the line of code, in one sentence."""
+    if isinstance(error, GeoOrbitError):
+        return error
+    frames = traceback.extract_tb(error.__traceback__)
+    where = f" in {Path(frames[-1].filename).name}, line {frames[-1].lineno}" if frames else ""
+    found = f"{type(error).__name__}{where}: {error}"
+    return GeoOrbitError(place, found, "work without a mistake; please report this one")
 
 
 class GeoOrbitNode(Node, Generic[Struct]):
@@ -36,6 +49,8 @@ class GeoOrbitNode(Node, Generic[Struct]):
     Attributes:
         name: Name of the node and of its schema.
         struct: Frozen dataclass of the parameters.
+        optional: Whether the nodes of its process go on where this one fails: what it does is no
+            part of seeing. What failed is told on /diagnostics.
         done: Set by a node whose process may end.
         told_to_end: Set by a signal: what is being waited for is not worth the wait any more.
 
@@ -45,6 +60,7 @@ class GeoOrbitNode(Node, Generic[Struct]):
 
     name: str
     struct: type[Struct]
+    optional = False
 
     def __init__(
         self,
@@ -91,6 +107,41 @@ class GeoOrbitNode(Node, Generic[Struct]):
 
     def close(self) -> None:
         """Finish what the node was doing, before it is destroyed."""
+
+    def create_subscription(
+        self, msg_type: Any, topic: str, callback: Callable[..., None], *rest: Any, **named: Any
+    ) -> Any:
+        """As rclpy's; see `_watched_over`."""
+        return super().create_subscription(
+            msg_type, topic, self._watched_over(callback), *rest, **named
+        )
+
+    def create_timer(
+        self, timer_period_sec: float, callback: Callable[..., None], *rest: Any, **named: Any
+    ) -> Any:
+        """As rclpy's; see `_watched_over`."""
+        return super().create_timer(timer_period_sec, self._watched_over(callback), *rest, **named)
+
+    def _watched_over(self, callback: Callable[..., None]) -> Callable[..., None]:
+        """A callback that a full disk, and where the node is optional no failure, ends."""
+
+        @functools.wraps(callback)
+        def guarded(*given: Any) -> None:
+            try:
+                callback(*given)
+            except ExternalShutdownException:
+                raise
+            except Exception as error:
+                fault: GeoOrbitError | None = None
+                if isinstance(error, OSError):
+                    fault = disk_fault(error)
+                if fault is None and self.optional:
+                    fault = failure(error, f"node '{self.get_fully_qualified_name()}'")
+                if fault is None:
+                    raise
+                self.diagnostics.refuse(fault)
+
+        return guarded
 
     def publish_stream(self, publisher: Publisher, cdr: bytes) -> None:
         """Publish serialised bytes; where every message is kept, wait for readers behind.

@@ -14,10 +14,13 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from geoorbit_ros.core.errors import ParameterError
+from rclpy.node import Node
+
+from geoorbit_ros.core.errors import GeoOrbitError, ParameterError
 from geoorbit_ros.fleet.plan import SECRETS_VARIABLE, NodePlan, ProcessPlan
 from geoorbit_ros.fleet.supervisor import HEARTBEAT_PERIOD_S
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
+from geoorbit_ros.nodes.support.diagnostics import Diagnostics
 from geoorbit_ros.nodes.support.process import run_nodes
 
 GIVE_BACK_PERIOD_S = 60.0
@@ -97,6 +100,39 @@ def node_class(executable: str) -> type[GeoOrbitNode[Any]]:
     raise ParameterError("node", f"'{executable}'", f"a node class in {module.__name__}")
 
 
+class AbsentNode(GeoOrbitNode[None]):
+    """Stands in for an optional node that can't start, and says why on /diagnostics.
+
+    Args:
+        name: Of the node that can't start.
+        namespace: Its namespace; None: that of the command line.
+        why: What its start raised.
+    """
+
+    def __init__(self, name: str, namespace: str | None, why: GeoOrbitError) -> None:
+        Node.__init__(self, name, namespace=namespace)
+        self.done = self.told_to_end = False
+        self.diagnostics = Diagnostics(self)
+        self.diagnostics.add_check(lambda: f"does not run: {why}")
+        self.get_logger().error(f"does not run, and its camera goes on without it: {why}")
+
+
+def made_or_absent(
+    make: type[GeoOrbitNode[Any]], namespace: str | None, overrides: Any
+) -> GeoOrbitNode[Any]:
+    """A node; where it is optional and can't start, one that says so in its place.
+
+    Raises:
+        GeoOrbitError: A node that is not optional can't start.
+    """
+    try:
+        return make(namespace=namespace, overrides=overrides)
+    except GeoOrbitError as error:
+        if not make.optional:
+            raise
+        return AbsentNode(make.name, namespace, error)
+
+
 def run_group(plan: ProcessPlan, heartbeat: Heartbeat) -> int:
     """Start the plan's nodes and spin them until told to end, or until the supervisor is gone.
 
@@ -115,7 +151,7 @@ def run_group(plan: ProcessPlan, heartbeat: Heartbeat) -> int:
 
 def _make(plan: NodePlan) -> GeoOrbitNode[Any]:
     make = node_class(plan.executable)
-    return make(namespace=plan.namespace or None, overrides=plan.parameters)
+    return made_or_absent(make, plan.namespace or None, plan.parameters)
 
 
 def run_plan(plan_file: str, descriptor: str) -> int:

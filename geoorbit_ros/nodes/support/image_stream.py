@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import CompressedImage, Image
 
 from geoorbit_ros.core.errors import GeoOrbitError, MessageError
-from geoorbit_ros.core.frame_order import Arrival, FrameOrder
+from geoorbit_ros.core.frame_order import Arrival, FrameOrder, order_fault
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.nodes.support.qos import stream_qos
 from geoorbit_ros.nodes.support.table_stream import StreamParameters
@@ -60,7 +60,7 @@ class ImageStream:
         self.received = self.dropped = 0
         self.error: Exception | None = None
         self._node, self._on_image, self._on_restart = node, on_image, on_restart
-        self._order = FrameOrder(parameters.restart_jump_s)
+        self._order = FrameOrder[tuple[str, NDArray[np.uint8], str]](parameters.restart_jump_s)
         self._lossless = parameters.queue_depth == 0
         self._depth = parameters.queue_depth or LOSSLESS_DEPTH
         self._waiting: deque[tuple[bytes, Decoder, str]] = deque()
@@ -117,25 +117,34 @@ class ImageStream:
         start_s, diagnostics = time.perf_counter(), self._node.diagnostics
         try:
             stamp_ns, frame_id, image = decoder(cdr, place)
-            self._check_order(stamp_ns, place)
-            self._check_size(image, place)
-            self._on_image(stamp_ns, frame_id, image)
-            diagnostics.handled(stamp_ns)
+            last_ns = self._order.last_ns
+            for arrival, stamp, frame in self._order.take(stamp_ns, (frame_id, image, place)):
+                self._pass_on(arrival, stamp, frame, last_ns)
         except GeoOrbitError as error:
             diagnostics.refuse(error)
         diagnostics.missing = max(self._order.missing - self.dropped, 0)
         diagnostics.took(time.perf_counter() - start_s)
 
-    def _check_order(self, stamp_ns: int, place: str) -> None:
-        last_ns = self._order.last_ns or stamp_ns
-        arrival = self._order.check(stamp_ns)
-        if arrival is Arrival.LATE:
-            found = f"stamp {stamp_ns / 1e9:.9f} s after {last_ns / 1e9:.9f} s"
-            raise MessageError(place, found, "stamps that increase")
-        if arrival is Arrival.RESTART:
-            jump = f"time went back by {(last_ns - stamp_ns) / 1e9:.1f} s, starting anew"
-            self._node.get_logger().info(f"{place}: {jump}")
-            self._on_restart()
+    def _pass_on(
+        self,
+        arrival: Arrival,
+        stamp_ns: int,
+        frame: tuple[str, NDArray[np.uint8], str],
+        last_ns: int | None,
+    ) -> None:
+        frame_id, image, place = frame
+        try:
+            if fault := order_fault(arrival, stamp_ns, last_ns, place):
+                raise fault
+            if arrival is Arrival.RESTART and last_ns is not None:
+                jump = f"time went back by {(last_ns - stamp_ns) / 1e9:.1f} s, starting anew"
+                self._node.get_logger().info(f"{place}: {jump}")
+                self._on_restart()
+            self._check_size(image, place)
+            self._on_image(stamp_ns, frame_id, image)
+            self._node.diagnostics.handled(stamp_ns)
+        except GeoOrbitError as error:
+            self._node.diagnostics.refuse(error)
 
     def _check_size(self, image: NDArray[np.uint8], place: str) -> None:
         """Control points are pixels of one size: other boxes would lie elsewhere on the road."""

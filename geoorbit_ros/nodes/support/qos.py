@@ -35,21 +35,22 @@ def stream_qos(reliability: str, queue_depth: int) -> QoSProfile:
     )
 
 
-KEEP_UPDATES = 1000
-"""Client updates kept for a server that is busy. Chosen: as many as a fleet may have cameras; more
-only costs memory when they come."""
+MIN_UPDATES, MAX_UPDATES = 32, 256
+"""Client updates kept for a server that is busy, at least and at most. Chosen: those of a tenth of
+a second, in which a round is closed and saved; more lets a sender of rubbish fill the memory."""
 
 
-def updates_qos(reliability: str = "reliable") -> QoSProfile:
+def updates_qos(reliability: str = "reliable", clients: int = 0) -> QoSProfile:
     """For updates: many may come at once, and a late joiner needs none of before.
 
     Args:
         reliability: `reliable` or, for a server whose clients send again by themselves,
             `best_effort`. Publishers are always reliable, which fits both.
+        clients: How many there are; two updates of each are kept, within bounds.
     """
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
-        depth=KEEP_UPDATES,
+        depth=min(max(2 * clients, MIN_UPDATES), MAX_UPDATES),
         reliability=ReliabilityPolicy[reliability.upper()],
     )
 

@@ -12,7 +12,7 @@ from sensor_msgs.msg import PointCloud2
 
 from geoorbit_ros.conversions import decode_table
 from geoorbit_ros.core.errors import GeoOrbitError, MessageError
-from geoorbit_ros.core.frame_order import Arrival, FrameOrder
+from geoorbit_ros.core.frame_order import Arrival, FrameOrder, order_fault
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.nodes.support.qos import stream_qos
 
@@ -62,7 +62,7 @@ class TableStream:
         self._node, self._dtype = node, dtype
         self._on_frame, self._on_restart = on_frame, on_restart
         self.frame_id = ""
-        self._order = FrameOrder(parameters.restart_jump_s)
+        self._order = FrameOrder[NDArray[np.void]](parameters.restart_jump_s)
         self._place = node.resolve_topic_name(topic)
         qos = stream_qos(parameters.reliability, parameters.queue_depth)
         node.create_subscription(PointCloud2, topic, self._receive, qos, raw=True)
@@ -80,12 +80,19 @@ class TableStream:
 
     def _handle(self, cdr: bytes) -> None:
         stamp_ns, self.frame_id, rows = decode_table(cdr, self._dtype, self._place)
-        last_ns = self._order.last_ns or stamp_ns
-        arrival = self._order.check(stamp_ns)
-        if arrival is Arrival.LATE:
-            found = f"stamp {stamp_ns / 1e9:.9f} s after {last_ns / 1e9:.9f} s"
-            raise MessageError(self._place, found, "stamps that increase")
-        if arrival is Arrival.RESTART:
+        last_ns = self._order.last_ns
+        for arrival, stamp, frame in self._order.take(stamp_ns, rows):
+            try:
+                self._pass_on(arrival, stamp, frame, last_ns)
+            except GeoOrbitError as error:
+                self._node.diagnostics.refuse(error)
+
+    def _pass_on(
+        self, arrival: Arrival, stamp_ns: int, rows: NDArray[np.void], last_ns: int | None
+    ) -> None:
+        if fault := order_fault(arrival, stamp_ns, last_ns, self._place):
+            raise fault
+        if arrival is Arrival.RESTART and last_ns is not None:
             jump = f"time went back by {(last_ns - stamp_ns) / 1e9:.1f} s, starting anew"
             self._node.get_logger().info(f"{self._place}: {jump}")
             self._on_restart()

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import sqlite3
 import threading
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
@@ -168,6 +170,18 @@ class TrajectoryReader:
                 " GROUP BY camera.id ORDER BY name"
             ).fetchall()
         return tuple(CameraContent(*row) for row in found)
+
+    def copy_to(
+        self, out: Path, pages: int, progress: Callable[[int, int], None] | None = None
+    ) -> None:
+        """Copy what is committed at one moment into a new file, so many pages at once."""
+
+        def told(_: int, left: int, total: int) -> None:
+            if progress is not None:
+                progress(total - left, total)
+
+        with self._lock, faults_as_sentences(self.path), closing(sqlite3.connect(out)) as copy:
+            self._connection.backup(copy, pages=pages, progress=told)
 
     def _key(self, camera_id: str) -> int:
         with self._lock, faults_as_sentences(self.path):

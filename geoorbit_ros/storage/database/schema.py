@@ -9,6 +9,7 @@ bytes per row of 48, where a SQLite row per vehicle takes 112.
 from __future__ import annotations
 
 import json
+import os
 import sqlite3
 import zlib
 from collections.abc import Iterator, Sequence
@@ -36,6 +37,18 @@ again every few seconds, larger fills the disk."""
 _WRITER_CACHE_KB = 256
 """Writing at the end touches few pages. SQLite's 2 MB would be filled with old ones over minutes,
 in each of a thousand recorders."""
+
+AGEING = {
+    "track_batch": ("camera", "end_ns"),
+    "lane_map": ("camera", "stamp_ns"),
+    "view_event": ("camera", "end_ns"),
+    "traffic_interval": ("series", "end_ns"),
+    "traffic_vehicle": ("camera", "end_ns"),
+    "traffic_movement": ("series", "end_ns"),
+    "traffic_event": ("series", "end_ns"),
+}
+"""Tables of which old rows are deleted, with the column that says whose they are, and the stamp
+that says how old those are that were stored before version 5. Part of a released script."""
 
 MIGRATIONS: tuple[str, ...] = (
     # 1: The index over five columns answers what is in the file without touching a block.
@@ -161,9 +174,16 @@ MIGRATIONS: tuple[str, ...] = (
     );
     CREATE INDEX view_event_age ON view_event (end_ns);
     """,
+    # 5: When rows were stored, by this computer's clock: what a stamp says deletes nothing.
+    "".join(
+        f"ALTER TABLE {table} ADD COLUMN stored_ns INTEGER; DROP INDEX {table}_age;"
+        f" CREATE INDEX {table}_age ON {table} ({owner}, coalesce(stored_ns, {ended}));"
+        for table, (owner, ended) in AGEING.items()
+    ).rstrip(";"),
 )
 """Script k brings a database of version k to k + 1. Never change one that was released: add.
-Scripts so far only add tables: readers take older files, too, and find those tables empty."""
+Scripts add tables, and columns that only writers ask for: readers take older files, too, and find
+those tables empty."""
 
 
 @contextmanager
@@ -197,7 +217,7 @@ def connect(
         raise InputFileError(str(path), "no such file", "a trajectory database")
     with faults_as_sentences(path):
         connection = sqlite3.connect(
-            f"{path.absolute().as_uri()}?mode={'ro' if read_only else 'rwc'}",
+            f"{path.absolute().as_uri()}?mode={_mode(path, read_only=read_only)}",
             uri=True,
             timeout=BUSY_TIMEOUT_S,
             isolation_level=None,
@@ -212,6 +232,22 @@ def connect(
             connection.close()
             raise
     return connection
+
+
+def _mode(path: Path, *, read_only: bool) -> str:
+    """How SQLite opens the file.
+
+    Readers share memory with writers in a file beside it. Where none can be made (a read-only disk,
+    another user's folder) and nothing waits in the write-ahead log, nobody writes either, and the
+    file is read as it is (https://sqlite.org/wal.html, "Read-Only Databases").
+    """
+    if not read_only:
+        return "rwc"
+    log, shared = (path.with_name(path.name + end) for end in ("-wal", "-shm"))
+    waiting = log.exists() and log.stat().st_size > 0
+    if os.access(path.absolute().parent, os.W_OK) or waiting or shared.exists():
+        return "ro"
+    return "ro&immutable=1"
 
 
 def _value(connection: sqlite3.Connection, pragma: str) -> int:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.core.errors import InputFileError
 from geoorbit_ros.storage.database.schema import (
+    AGEING,
     decode_rows,
     decode_tables,
     encode_rows,
@@ -234,20 +235,21 @@ class TrafficDatabase(EventWriter, TrafficReader):
             self._append_rows("traffic_movement", key, part, part.movements)
             self._append_vehicles(camera, part)
 
-    def prune_traffic(self, older_than_ns: int, limit: int = PRUNE_STEP) -> int:
-        """Delete blocks of intervals, vehicles and events that ended before; see `prune`.
+    def prune_traffic(self, camera_id: str, older_than_ns: int, limit: int = PRUNE_STEP) -> int:
+        """Delete a camera's blocks that were last written before `older_than_ns`; see `prune`.
 
         Returns:
             How many blocks were deleted.
         """
-        deleted = 0
+        camera, deleted = self._camera_key(camera_id), 0
         with self._lock, self._transaction():
+            series = self._connection.execute(
+                "SELECT id FROM traffic_series WHERE camera = ?", (camera,)
+            ).fetchall()
             for table in TABLES:
-                deleted += self._connection.execute(
-                    f"DELETE FROM {table} WHERE id IN (SELECT id FROM {table}"
-                    " WHERE end_ns < ? ORDER BY end_ns LIMIT ?)",
-                    (older_than_ns, limit),
-                ).rowcount
+                owners = [camera] if AGEING[table][0] == "camera" else [key for (key,) in series]
+                for owner in owners:
+                    deleted += self._delete_old(table, owner, older_than_ns, limit)
         return deleted
 
     def _append_map(self, key: int, lane_map: TrafficMap) -> None:
@@ -276,9 +278,10 @@ class TrafficDatabase(EventWriter, TrafficReader):
             start_ns, intervals = last[1], last[3] + intervals
             self._connection.execute(f"DELETE FROM {table} WHERE id = ?", (last[0],))
         self._connection.execute(
-            f"INSERT INTO {table} (series, start_ns, end_ns, intervals, row_count, data)"
-            " VALUES (?, ?, ?, ?, ?, ?)",
-            (key, start_ns, part.end_ns, intervals, len(rows), encode_rows(rows)),
+            f"INSERT INTO {table}"
+            " (series, start_ns, end_ns, intervals, row_count, data, stored_ns)"
+            " VALUES (?, ?, ?, ?, ?, ?, ?)",
+            (key, start_ns, part.end_ns, intervals, len(rows), encode_rows(rows), self._stored_ns),
         )
 
     def _append_vehicles(self, camera: int, part: TrafficPart) -> None:
@@ -297,9 +300,9 @@ class TrafficDatabase(EventWriter, TrafficReader):
             rows, start_ns = joined([decode_rows(last[4], last[3]), rows]), last[1]
             self._connection.execute("DELETE FROM traffic_vehicle WHERE id = ?", (last[0],))
         self._connection.execute(
-            "INSERT INTO traffic_vehicle (camera, start_ns, end_ns, row_count, data)"
-            " VALUES (?, ?, ?, ?, ?)",
-            (camera, start_ns, part.end_ns, len(rows), encode_rows(rows)),
+            "INSERT INTO traffic_vehicle (camera, start_ns, end_ns, row_count, data, stored_ns)"
+            " VALUES (?, ?, ?, ?, ?, ?)",
+            (camera, start_ns, part.end_ns, len(rows), encode_rows(rows), self._stored_ns),
         )
 
 

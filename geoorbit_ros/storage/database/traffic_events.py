@@ -126,7 +126,7 @@ class EventWriter(SeriesWriter, EventReader):
                 stamps = rows["stamp_ns"]
                 self._connection.execute(
                     "INSERT INTO traffic_event (series, first_row, start_ns, end_ns, row_count,"
-                    " data) VALUES (?, ?, ?, ?, ?, ?)",
+                    " data, stored_ns) VALUES (?, ?, ?, ?, ?, ?, ?)",
                     (
                         key,
                         first_row + known,
@@ -134,6 +134,7 @@ class EventWriter(SeriesWriter, EventReader):
                         int(stamps.max()),
                         len(rows),
                         encode_rows(rows),
+                        self._stored_ns,
                     ),
                 )
             if watch is not None:

@@ -11,6 +11,7 @@ import yaml
 from geoorbit_ros.core.class_names import COCO_NAMES, vehicle_class
 from geoorbit_ros.core.errors import ParameterError
 from geoorbit_ros.core.tables import UNKNOWN_CLASS
+from geoorbit_ros.storage.yaml_loader import load_bounded
 
 OTHER_CLASS = 80
 """The number of classes that are no motor vehicle and none of COCO's 80."""
@@ -54,7 +55,7 @@ def class_table(text: str) -> dict[str, str]:
             table[number] = name
         return table
     try:
-        content = yaml.safe_load(Path(text).read_text(encoding="utf-8"))
+        content = load_bounded(Path(text).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError):
         raise ParameterError("option --classes", repr(text), expected) from None
     names = content.get("names", content) if isinstance(content, Mapping) else content

@@ -220,11 +220,11 @@ def _load(path: Path, expected: str) -> Any:
     text = decode(data, place, expected)
     try:
         return json.loads(text)
-    except (json.JSONDecodeError, RecursionError) as whole:
+    except (ValueError, RecursionError) as whole:  # also a number of too many digits
         lines = [line for line in text.splitlines() if line.strip()]
         try:
             return [json.loads(line) for line in lines]
-        except (json.JSONDecodeError, RecursionError):
+        except (ValueError, RecursionError):
             found = f"JSON that breaks off or has a fault: {whole}"
             raise InputFileError(place, found, expected) from None
 

@@ -298,6 +298,26 @@ def test_an_id_that_jumps_is_a_new_vehicle() -> None:
     assert np.degrees(headings[-1]) == pytest.approx(-90, abs=5)
 
 
+def test_an_id_that_jumps_forgets_the_size_of_the_other_vehicle() -> None:
+    """Two ids are exchanged: the lorry under the car's id is placed as if it had its own."""
+    camera = Camera((0, 0, 12), 90, 18)
+    times = np.arange(0, 3, 0.1)
+    car = Drive(*SIZES["car"], (3.0, 30.0), 90, 10.0)
+    lorry = Drive(*SIZES["lorry"], (-6.0, 100.0), 270, 10.0)
+    exchanged = projector(camera)
+    for stamp, rows, _ in frames(camera, [car], times):
+        exchanged.project(stamp, rows)
+    first = [
+        exchanged.project(s + 4 * 10**9, rows) for s, rows, _ in frames(camera, [lorry], times)
+    ]
+    second = [exchanged.project(s + 8 * 10**9, rows) for s, rows, _ in frames(camera, [car], times)]
+    for drive, found in ((lorry, first), (car, second)):
+        last = np.concatenate(found[-10:])
+        error = position(last) - drive.centre(times[-10:])
+        assert np.hypot(*error.mean(axis=0)) < 1.0
+        assert last["length"][-1] == pytest.approx(drive.size_m[0], abs=1.5)
+
+
 def test_an_id_unseen_for_ten_seconds_is_a_new_vehicle() -> None:
     camera = Camera((0, 0, 12), 90, 18)
     drive = frames(camera, [Drive(*SIZES["lorry"], (3.0, 30.0), 90, 15.0)], np.arange(0, 2, 0.1))

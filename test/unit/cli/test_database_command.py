@@ -161,3 +161,33 @@ def test_traffic_beside_the_tracks(
     assert set(table["interval_start"].to_pylist()) == {"2026-10-25T02:01:00+01:00"}
     assert main([*few, "--camera-id", "south"]) == 2
     assert "'south'" in capsys.readouterr().err
+    _delete_backup_restore(path, tmp_path, capsys)
+
+
+def _delete_backup_restore(path: Path, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A minute of a day goes, traffic included; the backup from before has it still."""
+    saved, again = folder / "saved.db", folder / "again.db"
+    assert main(["db", "backup", str(path), "--out", str(saved)]) == 0
+    begin = SUMMER_ENDS_NS / 1e9 + 60
+    part = ["--camera", "north", "--from", f"{begin}", "--to", f"{begin + 60}"]
+    assert main(["db", "delete", str(path), *part, "--yes"]) == 0
+    capsys.readouterr()
+    out = folder / "rest.csv"
+
+    def rows(database: Path, table: str, *options: str) -> int:
+        given = [str(database), "--table", table, "--out", str(out), *options]
+        assert main(["db", "export", *given]) == 0
+        return len(out.read_text().splitlines()) - 1
+
+    for table in ("tracks", "intervals", "movements"):
+        assert rows(path, table, *part[2:]) == 0
+        assert rows(saved, table, *part[2:]) > 0
+        left = rows(path, table)
+        assert left == rows(saved, table) - rows(saved, table, *part[2:]) > 0
+    assert 0 < rows(path, "vehicles") < rows(saved, "vehicles")
+    assert main(["db", "restore", str(saved), str(path)]) == 2
+    assert main(["db", "restore", str(saved), str(again)]) == 0
+    assert rows(again, "tracks") == rows(saved, "tracks")
+    wrong = ["--camera", "north", "--from", "10", "--to", "5", "--yes"]
+    assert main(["db", "delete", str(path), *wrong]) == 2
+    assert "a time that lasts" in capsys.readouterr().err

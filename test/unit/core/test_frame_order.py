@@ -3,35 +3,68 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from geoorbit_ros.core.frame_order import Arrival, FrameOrder
+from geoorbit_ros.core.frame_order import LEAP_NS, Arrival, FrameOrder, capture_times
+from geoorbit_ros.core.input_report import InputReport
 
 FRAME_NS = 33_333_333
 
 
-def fed(stamps: list[int], restart_jump_s: float = 1.0) -> tuple[FrameOrder, list[Arrival]]:
-    order = FrameOrder(restart_jump_s)
-    return order, [order.check(stamp) for stamp in stamps]
+def fed(
+    stamps: list[int], restart_jump_s: float = 1.0
+) -> tuple[FrameOrder[None], list[tuple[Arrival, int]]]:
+    order = FrameOrder[None](restart_jump_s)
+    return order, [found[:2] for stamp in stamps for found in order.take(stamp, None)]
 
 
 @given(st.lists(st.integers(0, 10**12), max_size=60))
 def test_frames_that_pass_increase_except_at_a_restart(stamps: list[int]) -> None:
     _, arrivals = fed(stamps)
+    assert [stamp for _, stamp in arrivals] in (stamps, stamps[:-1])  # at most one waits
     last = None
-    for stamp, arrival in zip(stamps, arrivals, strict=True):
+    for arrival, stamp in arrivals:
         if arrival is Arrival.NEXT:
             assert last is None or stamp > last
         elif arrival is Arrival.RESTART:
             assert last is not None
             assert stamp < last - 10**9
-        else:
+        elif arrival is Arrival.LATE:
             assert last is not None
             assert last - 10**9 <= stamp <= last
+            continue
+        else:
+            assert last is not None
+            assert not last - 10**9 <= stamp <= last + LEAP_NS
             continue
         last = stamp
 
 
+@pytest.mark.parametrize("wrong", [10**18, 0, -(10**18)])
+@pytest.mark.parametrize("at", [1, 40, 98])
+def test_one_wrong_stamp_ends_no_sequence(wrong: int, at: int) -> None:
+    stamps = [10**12 + k * FRAME_NS for k in range(100)]
+    order, arrivals = fed([*stamps[:at], wrong, *stamps[at:]])
+    assert [stamp for arrival, stamp in arrivals if arrival is Arrival.NEXT] == stamps
+    assert [stamp for arrival, stamp in arrivals if arrival is Arrival.ODD] == [wrong]
+    assert order.missing == 0
+
+
+def test_wrong_stamps_among_good_ones_end_no_sequence() -> None:
+    stamps = [10**12 + k * FRAME_NS for k in range(100)]
+    mixed = [stamp for k, good in enumerate(stamps) for stamp in (good, 10**18 + k)]
+    _, arrivals = fed(mixed)
+    assert [stamp for arrival, stamp in arrivals if arrival is Arrival.NEXT] == stamps
+
+
+def test_after_a_pause_nothing_is_lost_also_where_each_frame_is_one() -> None:
+    stamps = [k * FRAME_NS for k in range(50)]
+    stamps += [stamps[-1] + 3600 * 10**9 + k * FRAME_NS for k in range(50)]
+    assert fed(stamps)[1] == [(Arrival.NEXT, stamp) for stamp in stamps]
+    sparse = [k * 600 * 10**9 for k in range(9)]  # every ten minutes
+    assert fed(sparse)[1] == [(Arrival.NEXT, stamp) for stamp in sparse]
+
+
 def test_the_same_frame_twice_is_late() -> None:
-    assert fed([5, 5])[1] == [Arrival.NEXT, Arrival.LATE]
+    assert fed([5, 5])[1] == [(Arrival.NEXT, 5), (Arrival.LATE, 5)]
 
 
 def test_a_stream_in_order_misses_nothing_although_it_jitters() -> None:
@@ -60,4 +93,16 @@ def test_a_restart_is_no_gap() -> None:
     stamps = [k * FRAME_NS for k in range(100)]
     order, arrivals = fed(stamps + stamps)
     assert order.missing == 0
-    assert arrivals.count(Arrival.RESTART) == 1
+    assert [stamp for arrival, stamp in arrivals if arrival is Arrival.RESTART] == [0]
+    assert [stamp for _, stamp in arrivals] == stamps + stamps
+
+
+@pytest.mark.parametrize("wrong", [2_100_000_000 * 10**9, 5])
+def test_one_wrong_stamp_of_a_recording_moves_no_other(wrong: int) -> None:
+    stamps = 10**18 + np.arange(100, dtype=np.int64) * FRAME_NS
+    given, report = stamps.copy(), InputReport("a.mcap", "messages", 100)
+    given[40] = wrong
+    times, run = capture_times(given, stamps + 10**7, report)
+    assert times.tolist() == stamps.tolist()
+    assert not run.any()
+    assert "1 of 100 messages have a time far from those around them" in str(report.remarks)

@@ -185,14 +185,15 @@ def test_two_classes_of_one_name_are_refused(monkeypatch: pytest.MonkeyPatch) ->
         register("stratagem", "mine")
 
 
-def test_listing_and_making_the_default_import_nothing_heavy() -> None:
+def test_listing_and_making_what_is_light_import_nothing_heavy() -> None:
     code = (
         "import sys; from geoorbit_ros.core.plugins import FOLDERS, registered\n"
         "for kind in FOLDERS: registered(kind)\n"
         "assert 'numpy' not in sys.modules\n"
         "from geoorbit_ros.lanes.estimators.estimator import make_estimator\n"
         "from geoorbit_ros.detection.detector import make_detector\n"
-        "make_estimator('curvilinear'), make_detector()\n"
+        "from pathlib import Path\n"
+        "make_estimator('curvilinear'), make_detector(Path('motion'))\n"
         "print(sorted({'sklearn', 'onnxruntime'} & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

@@ -325,9 +325,17 @@ def test_keys_and_rosters_are_files(tmp_path: Path) -> None:
         write_private_key(tmp_path / "north.key")
     assert len(read_private_key(tmp_path / "north.key")) == 32
     roster = tmp_path / "roster.txt"
-    roster.write_text(f"# cameras\nnorth {public.hex()}\nsouth  # without a key\n")
+    roster.write_text(f"# cameras\nnorth {public.hex()}\nsouth unsigned  # without a key\n")
     members = [Roster.read(roster).get(number) for number in Roster.read(roster)]
     assert {m.camera_id: m.public for m in members if m} == {"north": public, "south": None}
+    assert Roster.read(roster).unsigned == ("south",)
+    for line in ("south\n", f"north {public.hex()} x\n"):
+        roster.write_text(line)
+        with pytest.raises(FederationError, match=r"roster\.txt, line 1: .*, or '\w+ unsigned'"):
+            Roster.read(roster)
+    roster.write_text(f"north {public.hex()}\n")
+    with pytest.raises(FederationError, match="'north' with the server's key"):
+        Roster.read(roster, public)
     roster.write_text("north 12ab\n")
     with pytest.raises(FederationError, match=r"roster\.txt, line 1"):
         Roster.read(roster)

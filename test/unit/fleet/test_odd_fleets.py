@@ -132,6 +132,7 @@ LEFT_OUT: list[tuple[str, str, str, str]] = [
     ("enabled: true", "parameters: {homography: {max_sigma_m: wide}}", "line 10", "a number"),
     ("id: south", "id: north", "line 8, key 'cameras[1].id'", "another id"),
     ("id: south", "id: viewer", "line 8, key 'cameras[1].id'", "a name that no service has"),
+    ("id: south", "id: server", "line 8, key 'cameras[1].id'", "a name that no service has"),
     ("    datum:\n      latitude_deg: 43.25\n", "    datum: {latitude_deg: 43,25}\n    position:\n",
      "line 11", "in braces a comma separates"),
     ("id: south", "- south", "", ""),

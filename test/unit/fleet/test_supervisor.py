@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from geoorbit_ros.fleet import supervisor
 from geoorbit_ros.fleet.plan import ProcessPlan
 from geoorbit_ros.fleet.supervisor import State, Supervisor, Timing
 
@@ -62,8 +63,8 @@ def make(tmp_path: Path) -> Iterator[Make]:
 
     events.clear()
     yield build
-    for supervisor in made:
-        supervisor.stop()
+    for one in made:
+        one.stop()
 
 
 events: list[tuple[str, str]] = []
@@ -188,3 +189,35 @@ def test_the_default_times_keep_the_promises() -> None:
     timing = Timing()
     assert timing.kill_s < 5.0
     assert timing.first_back_off_s < 1.0
+
+
+def test_a_log_is_set_aside_while_its_process_writes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(supervisor, "LOG_BYTES", 1000)
+    log = tmp_path / "north.log"
+    with log.open("ab", buffering=0) as writer:  # as a process holds it
+        for k in range(5):
+            writer.write(b"%d" % k * 600)
+            supervisor.rotate(log)
+            assert log.stat().st_size <= 1000
+    assert log.read_bytes() == b"4" * 600
+    assert log.with_suffix(".log.1").read_bytes() == b"2" * 600 + b"3" * 600
+    supervisor.rotate(tmp_path / "none.log")
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    log.write_bytes(b"x" * 2000)
+    monkeypatch.setattr("shutil.copyfile", full)
+    supervisor.rotate(log)
+    assert log.stat().st_size == 0
+
+
+def test_the_supervisor_looks_at_the_logs_of_all(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looked: list[str] = []
+    monkeypatch.setattr(supervisor, "rotate", lambda file: looked.append(file.name))
+    make("steady_1", "steady_2").step(0.0)
+    assert {"steady_1.log", "steady_2.log"} <= set(looked)

@@ -118,11 +118,23 @@ def test_a_broken_file_is_one_warning_and_lanes_start_anew(file: Path, damage: s
             np.savez(stream, about=np.array(["format 2", "curvilinear", "43.0 -89.4"]))
     else:
         file.write_bytes({"cut": content[:-100], "text": b"lanes", "empty": b""}[damage])
+    file.with_name("lanes.npz.previous").unlink()
     warnings: list[str] = []
     maps = run(camera(file, warnings), traffic(0.0, 6.0))
     assert len(warnings) == 1
     assert str(file) in warnings[0]
     assert len(maps) == 1, "the regular update, nothing found again"
+
+
+def test_a_broken_file_costs_what_was_saved_last(file: Path) -> None:
+    run(camera(file, []), traffic(0.0, 40.0))
+    file.write_bytes(b"lanes")
+    warnings: list[str] = []
+    maps = run(camera(file, warnings), traffic(41.0, 42.0))
+    assert maps[0].lanes, "those of the save before"
+    assert len(warnings) == 1
+    assert "lanes.npz.damaged" in warnings[0]
+    assert "pickle" not in warnings[0]
 
 
 def test_memory_of_another_method_or_place_is_refused(file: Path) -> None:

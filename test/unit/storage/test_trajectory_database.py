@@ -26,6 +26,7 @@ from geoorbit_ros.storage.database.writer import TrajectoryDatabase, TrajectoryR
 
 FRAMES = steady_frames(200, 5, TRACK_DTYPE, start_ns=10**18)  # 6.6 s
 SECOND_NS = 10**9
+NOW_NS = 1_800_000_000 * SECOND_NS  # 2027, when a computer has set its clock
 
 
 def append_all(database: TrajectoryDatabase, frames: Frames, camera_id: str = "a") -> None:
@@ -211,18 +212,18 @@ def test_the_caller_may_reuse_its_array(tmp_path: Path) -> None:
 
 
 def test_old_data_goes_in_small_steps_and_the_file_stays_bounded(tmp_path: Path) -> None:
-    path = tmp_path / "tracks.db"
-    sizes = []
+    path, sizes, now_ns = tmp_path / "tracks.db", [], [NOW_NS]
     span_ns = int(FRAMES.stamp_ns[-1] - FRAMES.stamp_ns[0]) + SECOND_NS
-    with TrajectoryDatabase(path) as database:
+    with TrajectoryDatabase(path, wall_ns=lambda: now_ns[0]) as database:
         for k in range(30):
+            now_ns[0] = NOW_NS + k * span_ns
             shifted = Frames(FRAMES.stamp_ns + k * span_ns, FRAMES.offset, FRAMES.rows)
             append_all(database, shifted)
             database.append_lanes("a", int(shifted.stamp_ns[-1]), "{}" * 1000)
-            limit_ns = int(FRAMES.stamp_ns[0]) + (k - 2) * span_ns
             database.flush()
-            while deleted := database.prune(limit_ns, limit=5):
+            while deleted := database.prune("a", NOW_NS + (k - 2) * span_ns, limit=5):
                 assert deleted <= 2 * 5
+            limit_ns = int(FRAMES.stamp_ns[0]) + (k - 2) * span_ns
             kept = database.read("a")
             assert kept.stamp_ns[0] >= limit_ns
             assert kept.stamp_ns[-1] == shifted.stamp_ns[-1]
@@ -230,7 +231,7 @@ def test_old_data_goes_in_small_steps_and_the_file_stays_bounded(tmp_path: Path)
             assert all(stamp_ns >= limit_ns for stamp_ns, _ in database.lane_maps("a"))
             sizes.append(database._connection.execute("PRAGMA page_count").fetchone()[0])
         assert max(sizes[4:]) <= 1.3 * sizes[3]
-        while database.prune(2 * 10**18, limit=5):
+        while database.prune("a", 4 * 10**18, limit=5):
             pass
         assert database._connection.execute("PRAGMA page_count").fetchone()[0] < sizes[0]
         assert database.cameras()[0].frames == 0
@@ -278,6 +279,21 @@ def test_a_migration_happens_whole_or_not(tmp_path: Path) -> None:
         connect(path, read_only=False, migrations=broken)
     with TrajectoryReader(path) as reader:
         assert_same(reader.read("a"), FRAMES)
+
+
+def test_a_database_in_a_folder_that_cannot_be_written_to_is_read(
+    stored: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Readers share memory in a file beside it, which can't be made there."""
+    with TrajectoryReader(stored) as reader:
+        expected = reader.cameras()
+    alone = tmp_path / "alone.db"
+    alone.write_bytes(stored.read_bytes())
+    beside = [alone.with_name(alone.name + end) for end in ("-wal", "-shm")]
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    with TrajectoryReader(alone) as reader:
+        assert reader.cameras() == expected
+        assert not any(file.exists() for file in beside), "nothing was made"
 
 
 def test_what_is_no_trajectory_database(tmp_path: Path) -> None:

@@ -243,6 +243,32 @@ def test_a_car_on_the_shoulder_and_a_sign_that_is_driven_through_are_none(offset
     assert not len(watch(frames_of([*vehicles, sign, shoulder, jumper], 175.0), LANES))
 
 
+def test_who_waits_behind_a_stopped_vehicle_has_not_driven_through_it() -> None:
+    """Ids of who comes to wait behind it jump to it."""
+    vehicles = stopped_car()
+    for k in range(4):
+        stamps, rows = driving(30 + k, RIGHT, 69.1 + 1.5 * k)
+        rows["x"] = np.where(rows["x"] > 55.0, 71.5, rows["x"])
+        vehicles.append((stamps, rows))
+    assert kinds(watch(frames_of(vehicles, 170.0), LANES)) == [EventKind.STOPPED]
+
+
+def test_what_stands_from_the_beginning_where_its_lane_ends_is_no_vehicle() -> None:
+    """A sign: all leave the lane before it, as they must."""
+    time_s = np.arange(0.0, 170.0, 0.2)
+    sign = placed(7, time_s, np.tile([110.0, 0.0], (len(time_s), 1)))
+
+    def merging(s: Array) -> Array:
+        return np.column_stack((s, WIDTH_M * np.clip((s - 80.0) / 20.0, 0.0, 1.0)))
+
+    vehicles = [*flow(merging, 100, 0.0, 170.0, 8.0), *flow(LEFT, 400, 4.0, 170.0, 8.0)]
+    ends = [lane(3, RIGHT, 114.0), LANES[1]]
+    assert not len(watch(frames_of([*vehicles, sign], 175.0), ends))
+    assert kinds(watch(frames_of([*vehicles, sign], 175.0), [lane(3, RIGHT, 160.0), LANES[1]])) == [
+        EventKind.STOPPED
+    ]
+
+
 def test_who_waits_alone_at_a_red_light_of_a_city_street_has_not_stopped() -> None:
     slow = [driving(100 + k, RIGHT, 6.0 * k, 12.0) for k in range(12)]
     waits = stopping(7, RIGHT, 80.0, 70.0, 80.0, goes_on=True)
@@ -257,6 +283,39 @@ def test_a_queue_tells_its_tail_and_how_many_wait() -> None:
     behind = 90.0 - 8.0 * (last["vehicles"] - 1) - 2.25
     assert last["arc_m"] == pytest.approx(behind, abs=3.0)
     assert rows["state"][-1] == EventState.ENDED
+
+
+def test_a_queue_is_told_though_every_vehicle_is_hidden_now_and_then() -> None:
+    """Lorries beside hide each of them for five of ten seconds; then it has a new id."""
+    vehicles = list[Vehicle]()
+    for k, (stamps, rows) in enumerate(waiting()):
+        standing = np.abs(rows["x"] - np.median(rows["x"])) < 1.0
+        since = np.arange(len(rows)) - int(standing.argmax()) - 10
+        hidden = standing & (since > 0) & ((since + 10 * k) % 50 < 25)
+        rows["track_id"] = rows["track_id"] * 1000 + (np.maximum(since, 0) + 10 * k) // 50
+        vehicles.append((stamps[~hidden], rows[~hidden]))
+    assert kinds(watch(frames_of(vehicles, 160.0), LANES)) == [EventKind.QUEUE]
+
+
+def test_who_drives_the_wrong_way_is_told_through_breaks_of_its_track_and_exchanged_ids() -> None:
+    vehicles = wrong_way_car()
+    stamps, rows = vehicles.pop()
+    rows["track_id"] = 7000 + np.arange(len(rows)) // 8
+    kept = np.arange(len(rows)) % 8 < 6
+    broken = watch(frames_of([*vehicles, (stamps[kept], rows[kept])], 90.0), LANES)
+    assert kinds(broken) == [EventKind.WRONG_WAY]
+    rows["track_id"] = 7
+    forward = driving(7, RIGHT, 61.0, 25.0)
+    both = np.append(forward[0], stamps), np.append(forward[1], rows)
+    assert kinds(watch(frames_of([*vehicles, both], 90.0), LANES)) == [EventKind.WRONG_WAY]
+
+
+def test_vehicles_on_the_line_do_not_use_an_empty_lane() -> None:
+    """One in thirty of the full lane beside a closed one is placed on the line between them."""
+    line = straight(offset_m=0.45 * WIDTH_M)
+    strays = [driving(5000 + k, line, 310.0 + 40.0 * k) for k in range(10)]
+    found = kinds(watch(frames_of([*closed(), *strays], 700.0), LANES))
+    assert found == [EventKind.LANE_UNUSED]
 
 
 def test_only_who_drives_in_the_lane_for_metres_drives_the_wrong_way() -> None:

@@ -1,0 +1,1 @@
+"""Attacks with real processes on this machine; `attacks.py` runs them."""
