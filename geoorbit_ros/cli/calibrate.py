@@ -124,26 +124,25 @@ def calibrate(
 
     Example: [bold]geoorbit calibrate north.mp4 --near 43.07,-89.40 --out calibration.csv[/bold]
     """
+    from geoorbit_ros.calibration.camera_info import read_camera_info
     from geoorbit_ros.calibration.control_point_writer import write_control_points
     from geoorbit_ros.calibration.traffic.control_grid import control_grid
     from geoorbit_ros.calibration.traffic.estimate import calibrate_from_traffic
     from geoorbit_ros.cli.console import status
-    from geoorbit_ros.report.image_overlay import write_image
-    from geoorbit_ros.report.traffic_calibration import draw_traffic_calibration
     from geoorbit_ros.storage.atomic import atomic_output
 
     picture = _checked_picture(picture, out, source, tracks, road_map, points, camera_info, image)
-    origin, pointed = parse_datum(near, "--near"), points is not None
-    where = whereabouts(road_map, origin, near_sigma, looks, with_points=pointed)
-    camera_lens = _camera_lens(camera_info)
+    origin = parse_datum(near, "--near")
+    where = whereabouts(road_map, origin, near_sigma, looks, with_points=points is not None)
+    told_lens = read_camera_info(camera_info) if camera_info else None
     with atomic_output(out) as new_file, atomic_output(picture) as new_picture:
         if tracks is not None:
-            options = read_options(fps, columns, classes, strict)
-            frames, size, view = _read(tracks, image_size, points, options)
+            read = read_options(fps, columns, classes, strict)
+            frames, size, view = _read(tracks, image_size, points, read)
         else:
             frames, size, view = _look(str(source), fps, duration, model, class_names, min_score)
         view = _view(image, size) if image else view
-        lens, known, datum = _given(points, camera_lens, str(camera_info), origin, size, strict)
+        lens, known, datum = _given(points, told_lens, str(camera_info), origin, size, strict)
         with status(f"fitting a camera to {len(frames)} frames"):
             camera = calibrate_from_traffic(frames, size, lens=lens, points=known)
         grid = control_grid(camera, datum, str(out))
@@ -151,15 +150,22 @@ def calibrate(
         placed = on_map is not grid or (known is not None and len(known.pixel) > 1)
         grid = on_map if placed else _without_north(grid)
         write_control_points(new_file, grid, _comments(camera, placed))
-        with status("drawing the picture"):
-            write_image(new_picture, draw_traffic_calibration(camera, grid, view))
+        _draw(new_picture, camera, grid, view)
     _tell([*sentences(camera, grid, placed, known is not None), *where_said], out, picture)
 
 
-def _camera_lens(camera_info: Path | None) -> Lens | None:
-    from geoorbit_ros.calibration.camera_info import read_camera_info
+def _draw(
+    picture: Path,
+    camera: TrafficCalibration,
+    grid: ControlPoints,
+    view: NDArray[np.uint8] | None,
+) -> None:
+    from geoorbit_ros.cli.console import status
+    from geoorbit_ros.report.image_overlay import write_image
+    from geoorbit_ros.report.traffic_calibration import draw_traffic_calibration
 
-    return read_camera_info(camera_info) if camera_info else None
+    with status("drawing the picture"):
+        write_image(picture, draw_traffic_calibration(camera, grid, view))
 
 
 def _tell(said: list[str], out: Path, picture: Path) -> None:

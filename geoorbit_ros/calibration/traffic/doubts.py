@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.calibration.lens_from_paths import NO_LENS
 from geoorbit_ros.calibration.robust import jacobian
 from geoorbit_ros.calibration.traffic.estimate import TrafficCalibration
 from geoorbit_ros.calibration.traffic.parameters import (
@@ -66,7 +67,9 @@ def _to_ground(found: TrafficCalibration, x: Array, pixel: Array) -> Array:
 
 def doubts(found: TrafficCalibration) -> list[str]:
     """Sentences about what is probably wrong, or can't be told from this traffic."""
-    said = [_odd_focal(found), _odd_axis(found), _odd_classes(found), _unsure(found)]
+    said = [
+        _odd_focal(found), _odd_axis(found), _odd_classes(found), _no_lens(found), _unsure(found)
+    ]  # fmt: skip
     return [sentence for sentence in said if sentence]
 
 
@@ -115,6 +118,16 @@ def _odd_classes(found: TrafficCalibration) -> str:
     return (
         f"Doubtful: {buses} of {len(group)} vehicles are called buses. If they are cars, all "
         "distances are two to three times too long: check the detector's classes (--classes)."
+    )
+
+
+def _no_lens(found: TrafficCalibration) -> str:
+    """A lens that neither the user nor the paths tell."""
+    if found.lens is not None or not found.lens_sentence.startswith(NO_LENS):
+        return ""
+    return (
+        "Unsure: if the lens has a distortion (straight lines bent at the image's border), "
+        "distances are off by 10 to 20 %, more than is said above: give it (--camera-info)."
     )
 
 

@@ -15,6 +15,7 @@ from geoorbit_ros.calibration.control_point_file import read_control_points
 from geoorbit_ros.calibration.control_point_writer import write_control_points
 from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.calibration.lens import Lens
+from geoorbit_ros.calibration.lens_from_paths import NO_LENS
 from geoorbit_ros.calibration.traffic.control_grid import control_grid, scale_sigma
 from geoorbit_ros.calibration.traffic.doubts import doubts, scale_sigmas
 from geoorbit_ros.calibration.traffic.estimate import TrafficCalibration, calibrate_from_traffic
@@ -277,3 +278,9 @@ def test_the_axis_of_a_cut_image_is_told() -> None:
     lens = Lens(focal, focal, SIZE[0] / 2 + 200.0, SIZE[1] / 2, SIZE, focal_known=True)
     found = replace(calibrated(), lens=lens)
     assert any("200 px from the image's middle" in said for said in doubts(found))
+
+
+def test_a_lens_that_nobody_can_tell_is_told() -> None:
+    unknown = replace(calibrated(), lens_sentence=f"{NO_LENS}: 3 long ones")
+    assert any("--camera-info" in said for said in doubts(unknown))
+    assert not any("distortion" in said for said in doubts(calibrated()))
