@@ -8,11 +8,12 @@ of a place are larger or smaller than usual, by an amount that nobody tells the 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from geoorbit_ros.calibration.lens import Lens
 from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE, Frames, join_frames
 from geoorbit_ros.scenes import random_scene as roads
 from geoorbit_ros.scenes.camera import PinholeCamera
@@ -28,6 +29,10 @@ HEIGHT_M, TILT_DEG, FIELD_OF_VIEW_DEG = (5.0, 25.0), (5.0, 45.0), (20.0, 100.0)
 ROLL_SIGMA_DEG = 1.0
 FLEET = 0.04
 """The fleet's mean sizes are uniformly up to this share above or below the usual ones."""
+DISTORTION = 0.35
+"""With a lens, k1 is uniformly between minus this and 0, but so weak that the whole image shows
+something: beyond `FOLD` of it the model has no image."""
+FOLD = 0.8 * 4.0 / 27.0
 SEEN_M = 25.0
 """A lane counts as seen from this length on: less than `random_scene` asks for, since a steep
 camera on a short pole sees no more of a road."""
@@ -114,10 +119,21 @@ def rolled(camera: PinholeCamera, roll_rad: float) -> PinholeCamera:
     middle = np.array([[1.0, 0.0, width / 2], [0.0, 1.0, height / 2], [0.0, 0.0, 1.0]])
     turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     matrix = middle @ turn @ np.linalg.inv(middle) @ camera.matrix
-    return PinholeCamera(matrix, camera.centre_m, camera.focal_px, camera.image_size)
+    return PinholeCamera(matrix, camera.centre_m, camera.focal_px, camera.image_size, camera.lens)
 
 
-def watch(seed: int, duration_s: float, fleet_spread: float = FLEET) -> Watched:
+def behind_lens(camera: PinholeCamera, share: float) -> PinholeCamera:
+    """The same camera with a barrel distortion, `share` of the strongest."""
+    width, height = camera.image_size
+    corner = 0.25 * (width**2 + height**2) / camera.focal_px**2
+    k1 = -share * min(DISTORTION, FOLD / corner)
+    focal, middle = camera.focal_px, (width / 2, height / 2)
+    return replace(camera, lens=Lens(focal, focal, *middle, camera.image_size, k1))
+
+
+def watch(
+    seed: int, duration_s: float, fleet_spread: float = FLEET, distorted: bool = False
+) -> Watched:
     """Let traffic drive through a scene and see it with the camera's detector and tracker."""
     scene = calibration_scene(seed)
     placed = place_roads(scene)
@@ -126,6 +142,8 @@ def watch(seed: int, duration_s: float, fleet_spread: float = FLEET) -> Watched:
     fleet = 1.0 + fleet_spread * float(random.uniform(-1.0, 1.0))
     upright = scene_camera(scene, placed)
     camera = rolled(upright, roll)
+    if distorted:
+        camera = behind_lens(camera, float(np.random.default_rng([seed, 23]).uniform()))
     record = simulate_traffic(scene, placed, duration_s, seed)
     record.vehicle_sizes[:] *= fleet
     traffic, model = MovingTraffic(record, scene, seed), DetectorModel(camera, scene.detector, seed)

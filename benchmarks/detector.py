@@ -14,6 +14,7 @@ import time
 import cv2
 import numpy as np
 
+from geoorbit_ros.detection.detector import Detector
 from geoorbit_ros.detection.motion.detector import MotionDetector
 from geoorbit_ros.detection.network.detector import NetworkDetector
 from geoorbit_ros.rendering.rendered_scene import render_scene
@@ -30,7 +31,7 @@ def report(name: str, ratio: float, limit: float, note: str) -> None:
 
 
 def compare() -> None:
-    detectors = {"network": NetworkDetector(), "motion": MotionDetector()}
+    detectors: dict[str, Detector] = {"network": NetworkDetector(), "motion": MotionDetector()}
     peer = cv2.createBackgroundSubtractorMOG2(detectShadows=True)
     times: dict[str, list[float]] = {name: [] for name in (*detectors, "MOG2")}
     for frame in render_scene(load_scene(SCENE), SECONDS, 1, fps=FPS, image_size=SIZE):

@@ -89,7 +89,8 @@ def main() -> None:
 
 def train(films: list[list[Example]], weights: np.ndarray, options: argparse.Namespace) -> None:
     random = np.random.default_rng(options.seed)
-    network = VehicleNetwork().to(memory_format=torch.channels_last)
+    network = VehicleNetwork()
+    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     step, spent_s = 0, 0.0
     average = copy.deepcopy(network).eval()
     optimiser = torch.optim.AdamW(network.parameters(), RATE, weight_decay=DECAY)
@@ -116,7 +117,7 @@ def train(films: list[list[Example]], weights: np.ndarray, options: argparse.Nam
         parts = loss(found.float(), *wanted)
         total = parts[0] + SIDES_WEIGHT * parts[1] + CLASS_WEIGHT * parts[2]
         optimiser.zero_grad()
-        total.backward()
+        total.backward()  # type: ignore[no-untyped-call]
         torch.nn.utils.clip_grad_norm_(network.parameters(), 10.0)
         optimiser.step()
         step += 1

@@ -284,9 +284,8 @@ def _recoloured(views: list[Image], random: np.random.Generator) -> list[Image]:
         views = [np.asarray(cv2.GaussianBlur(v, (0, 0), sigma), np.uint8) for v in views]
     if random.random() < 0.4:
         spread = random.uniform(1, 9)
-        noise = np.empty(views[0].shape, np.int16)
         for k in [0] + ([len(views) - 1] if len(views) == 3 else []):
-            cv2.randn(noise, 0, spread)
+            noise = spread * random.standard_normal(views[k].shape, np.float32)
             views[k] = np.clip(views[k] + noise, 0, 255).astype(np.uint8)
     if random.random() < 0.3:
         quality = [cv2.IMWRITE_JPEG_QUALITY, int(random.integers(20, 70))]

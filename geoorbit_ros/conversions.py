@@ -421,13 +421,14 @@ def lane_markers(lane_map: LaneMap, frame_id: str) -> MarkerArray:
     """Lines, an arrow along the direction of travel and a label for every lane.
 
     The first marker deletes all older ones, so that vanished lanes vanish, also for a late joiner
-    who sees this message alone. Confirmed lanes are opaque, tentative ones faint. Boundaries on
-    paint are drawn as it is: dashed (a LINE_LIST), yellow.
+    who sees this message alone. Confirmed lanes are opaque, tentative ones faint, and so are lanes
+    that are held, whose label says it. Boundaries on paint are drawn as it is: dashed (a
+    LINE_LIST), yellow.
     """
     header = Header(stamp=time_from_ns(lane_map.stamp_ns), frame_id=frame_id)
     markers = [Marker(header=header, action=Marker.DELETEALL)]
     for lane in lane_map.lanes:
-        alpha = 1.0 if lane.status == "confirmed" else 0.3
+        alpha = 1.0 if lane.status == "confirmed" and not lane_map.held else 0.3
         for role, line, edge in (
             ("centerline", lane.centerline_m, None),
             ("left", lane.left_m, lane.left_edge),
@@ -454,7 +455,8 @@ def lane_markers(lane_map: LaneMap, frame_id: str) -> MarkerArray:
         label = _marker(header, "label", lane.lane_id, Marker.TEXT_VIEW_FACING, amber)
         label.pose.position = Point(x=x, y=y, z=2.0)
         label.scale.z = 2.0
-        label.text = f"{lane.lane_id} ({lane.width_m:.1f} m)"
+        held = ", held" if lane_map.held else ""
+        label.text = f"{lane.lane_id} ({lane.width_m:.1f} m{held})"
         markers += [arrow, label]
     return MarkerArray(markers=markers)
 

@@ -163,7 +163,32 @@ class BoxProjector:
         if not len(frames):
             return Frames(frames.stamp_ns, frames.offset, np.empty(0, dtype=TRACK_DTYPE))
         doubtful = self.traffic.add(frames)
-        return with_doubts(self.place_block(frames), doubtful)
+        return self.with_bends(with_doubts(self.place_block(frames), doubtful))
+
+    @property
+    def bent(self) -> bool:
+        """Whether the road was known not to be the plane in some frame of the latest block."""
+        return any(stretches for _, stretches in self.traffic.bends)
+
+    def with_bends(self, frames: Frames) -> Frames:
+        """Ground tracks of the latest block with the error that a bent road adds to them.
+
+        A stretch that lies higher or lower than the plane puts vehicles too far or too near by the
+        same share of their distance from the camera.
+        """
+        if self.pose is None or not self.bent:
+            return frames
+        rows, camera = frames.rows, self.pose.position_m
+        distance_m = np.hypot(rows["x"] - camera[0], rows["y"] - camera[1])
+        ends = [*(frame for frame, _ in self.traffic.bends[1:]), len(frames)]
+        for (first, stretches), last in zip(self.traffic.bends, ends, strict=True):
+            part = slice(int(frames.offset[first]), int(frames.offset[last]))
+            for stretch in stretches:
+                here = distance_m[part]
+                inside = (here >= stretch.near_m) & (here < stretch.far_m)
+                added = np.where(inside, abs(stretch.bend) * here, 0.0)
+                rows["sigma"][part] = np.hypot(rows["sigma"][part], added)
+        return frames
 
     def place_block(self, frames: Frames) -> Frames:
         """As `project_block`, without a look at whether the traffic is what the inputs can show.

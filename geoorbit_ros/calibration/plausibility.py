@@ -13,11 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.camera_pose import CameraPose, recover_pose
+from geoorbit_ros.calibration.flatness import Stretch
 from geoorbit_ros.calibration.plane import Homography
 from geoorbit_ros.calibration.point_advice import point_remarks
 from geoorbit_ros.calibration.traffic_findings import (
     COLUMNS,
     TIME,
+    SeenTraffic,
     border_finding,
     boxes_as_numbers,
     on_the_road,
@@ -26,6 +28,7 @@ from geoorbit_ros.calibration.traffic_findings import (
     size_finding,
     sky_finding,
     speed_finding,
+    stretches_of,
 )
 from geoorbit_ros.core.errors import CalibrationError
 from geoorbit_ros.core.input_report import InputReport, Remark, Treatment
@@ -142,6 +145,8 @@ class TrafficCheck:
 
     Attributes:
         findings: What speaks against the inputs, as of the last judgement.
+        bends: Where the road was known not to be the plane, from which frame of the latest block
+            on.
     """
 
     def __init__(
@@ -158,6 +163,8 @@ class TrafficCheck:
     def reset(self) -> None:
         """Forget all traffic, and what was found in it."""
         self.findings: tuple[Remark, ...] = ()
+        self.bends: list[tuple[int, list[Stretch]]] = []
+        self._stretches: list[Stretch] = []
         self._times: list[float] = []
         self._new: list[NDArray[np.float64]] = []
         self._seen = np.empty((0, COLUMNS))
@@ -177,6 +184,7 @@ class TrafficCheck:
             (F,) `doubtful` as of each frame.
         """
         doubtful = np.full(len(frames), self.doubtful)
+        self.bends = [(0, self._stretches)]
         looked = self._sample(frames)
         if not looked:
             return doubtful
@@ -194,6 +202,7 @@ class TrafficCheck:
                 done = k + 1
                 self.judge()
                 doubtful[frame:] = self.doubtful
+                self.bends.append((frame, self._stretches))
         self._take(boxes[first[done] :])
         return doubtful
 
@@ -229,6 +238,10 @@ class TrafficCheck:
             ]
             if self._pose is not None:
                 found += size_finding(traffic, self._image_size, self._homography, self._pose)
+                self._stretches = [k for k in self._bends(traffic, self._pose) if k.clear]
+                height_m = float(self._pose.position_m[2])
+                texts = [stretch.sentence(height_m) for stretch in self._stretches]
+                found += [Remark(Treatment.NOTED, 0, text) for text in texts]
             elif self._pose_error is not None and traffic.solid.any():
                 text = (
                     "vehicles are taken to stand where their boxes end, as the camera's height is "
@@ -239,6 +252,16 @@ class TrafficCheck:
                 found.append(Remark(Treatment.NOTED, 0, text))
             self.findings = tuple(found)
         return self.findings
+
+    def stretches(self) -> list[Stretch]:
+        """How the road bends, by all traffic that is remembered; also where it does not clearly."""
+        self._remember()
+        if self._pose is None or not len(self._seen):
+            return []
+        return self._bends(seen_traffic(self._seen, self._times), self._pose)
+
+    def _bends(self, traffic: SeenTraffic, pose: CameraPose) -> list[Stretch]:
+        return stretches_of(traffic, self._image_size, self._homography, pose)
 
     def _remember(self) -> None:
         """Put the new rows on the road, and forget the oldest frames."""

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geoorbit_ros.calibration.camera_pose import MAX_SKEW, CameraPose, recover_pose
+from geoorbit_ros.calibration.flatness import Stretch, road_stretches
 from geoorbit_ros.calibration.plane import Homography
 from geoorbit_ros.calibration.vehicle_fit import fit_vehicles
 from geoorbit_ros.calibration.vehicle_size import COVARIANCE, MEAN_M
@@ -65,6 +66,8 @@ MIN_STEP_M = 1.0
 shorter takes noise for a direction."""
 MAX_BOXES = 1500
 """So many boxes are compared with cars. Chosen: more costs time, fewer sees too few cars."""
+MAX_FLATNESS_BOXES = 4000
+"""The same where the road's stretches are told apart."""
 SIZE_DOUBT = 0.5
 """Sum of |log| of width and height of cars over what cars have: 0.05 to 0.16 in the scenes and at
 US-12. Chosen: a scale that is off by 28 %; smaller doubts cameras with lens distortion."""
@@ -398,7 +401,7 @@ def other_size_finding(
 
 
 def _whole_cars(
-    traffic: SeenTraffic, image_size: tuple[int, int]
+    traffic: SeenTraffic, image_size: tuple[int, int], most: int = MAX_BOXES
 ) -> tuple[NDArray[np.int32], Array]:
     """Tracks (N,) and boxes (N, 4) of cars that no border cuts; none where there are too few."""
     size = np.array(image_size, dtype=np.float64)
@@ -409,7 +412,7 @@ def _whole_cars(
     cars = np.unique(traffic.track_id[use])
     if len(cars) < MIN_CARS:
         return np.empty(0, np.int32), np.empty((0, 4))
-    fewer = min(int(use.sum()) // MAX_BOXES, len(cars) // (3 * MIN_CARS))
+    fewer = min(int(use.sum()) // most, len(cars) // (3 * MIN_CARS))
     use &= np.isin(traffic.track_id, cars[:: max(1, fewer)])
     return traffic.track_id[use], traffic.box[use]
 
@@ -433,6 +436,30 @@ def _car_size(
     track_id: NDArray[np.int32], box: Array, homography: Homography, pose: CameraPose
 ) -> Array | None:
     """Log of width and height (2,) of cars over those that cars have; None: too few to say."""
+    found = _car_ratios(track_id, box, homography, pose)
+    if found is None:
+        return None
+    usual = _medians(found[0], found[1])
+    return np.median(usual, axis=0) if len(usual) >= MIN_CARS else None
+
+
+def stretches_of(
+    traffic: SeenTraffic, image_size: tuple[int, int], homography: Homography, pose: CameraPose
+) -> list[Stretch]:
+    """How the road bends along it: where cars all look larger or smaller."""
+    track_id, box = _whole_cars(traffic, image_size, MAX_FLATNESS_BOXES)
+    found = _car_ratios(track_id, box, homography, pose) if len(box) else None
+    if found is None:
+        return []
+    track_id, ratio, ground = found
+    distance_m = np.hypot(*(ground - pose.position_m[:2]).T)
+    return road_stretches(track_id, distance_m, ratio.mean(axis=1))
+
+
+def _car_ratios(
+    track_id: NDArray[np.int32], box: Array, homography: Homography, pose: CameraPose
+) -> tuple[NDArray[np.int32], Array, Array] | None:
+    """Of boxes that can be judged: track (N,), log ratios as `_car_size` (N, 2), place (N, 2)."""
     foot = box[:, :2] + np.column_stack((np.zeros(len(box)), box[:, 3] / 2))
     with np.errstate(invalid="ignore"):
         sharp = (homography.sigma_m(foot, 1.5) <= SHARP_M) & (box[:, 2:] > 0.0).all(axis=1)
@@ -462,10 +489,7 @@ def _car_size(
         ratio = np.log(box[:, 2:] / fit.side_px.T)
     good = fit.good & np.isfinite(ratio).all(axis=1)
     at = np.flatnonzero(good)
-    if not len(at):
-        return None
-    usual = _medians(track_id[at], ratio[at])
-    return np.median(usual, axis=0) if len(usual) >= MIN_CARS else None
+    return (track_id[at], ratio[at], fit.xy.T[at]) if len(at) else None
 
 
 def _medians(track_id: NDArray[np.int32], value: Array) -> Array:

@@ -124,7 +124,6 @@ def calibrate(
 
     Example: [bold]geoorbit calibrate north.mp4 --near 43.07,-89.40 --out calibration.csv[/bold]
     """
-    from geoorbit_ros.calibration.camera_info import read_camera_info
     from geoorbit_ros.calibration.control_point_writer import write_control_points
     from geoorbit_ros.calibration.traffic.control_grid import control_grid
     from geoorbit_ros.calibration.traffic.estimate import calibrate_from_traffic
@@ -134,17 +133,17 @@ def calibrate(
     from geoorbit_ros.storage.atomic import atomic_output
 
     picture = _checked_picture(picture, out, source, tracks, road_map, points, camera_info, image)
-    origin = parse_datum(near, "--near")
-    where = whereabouts(road_map, origin, near_sigma, looks, with_points=points is not None)
-    told_lens = read_camera_info(camera_info) if camera_info else None
+    origin, pointed = parse_datum(near, "--near"), points is not None
+    where = whereabouts(road_map, origin, near_sigma, looks, with_points=pointed)
+    camera_lens = _camera_lens(camera_info)
     with atomic_output(out) as new_file, atomic_output(picture) as new_picture:
         if tracks is not None:
-            read = read_options(fps, columns, classes, strict)
-            frames, size, view = _read(tracks, image_size, points, read)
+            options = read_options(fps, columns, classes, strict)
+            frames, size, view = _read(tracks, image_size, points, options)
         else:
             frames, size, view = _look(str(source), fps, duration, model, class_names, min_score)
         view = _view(image, size) if image else view
-        lens, known, datum = _given(points, told_lens, str(camera_info), origin, size, strict)
+        lens, known, datum = _given(points, camera_lens, str(camera_info), origin, size, strict)
         with status(f"fitting a camera to {len(frames)} frames"):
             camera = calibrate_from_traffic(frames, size, lens=lens, points=known)
         grid = control_grid(camera, datum, str(out))
@@ -152,8 +151,15 @@ def calibrate(
         placed = on_map is not grid or (known is not None and len(known.pixel) > 1)
         grid = on_map if placed else _without_north(grid)
         write_control_points(new_file, grid, _comments(camera, placed))
-        write_image(new_picture, draw_traffic_calibration(camera, grid, view))
+        with status("drawing the picture"):
+            write_image(new_picture, draw_traffic_calibration(camera, grid, view))
     _tell([*sentences(camera, grid, placed, known is not None), *where_said], out, picture)
+
+
+def _camera_lens(camera_info: Path | None) -> Lens | None:
+    from geoorbit_ros.calibration.camera_info import read_camera_info
+
+    return read_camera_info(camera_info) if camera_info else None
 
 
 def _tell(said: list[str], out: Path, picture: Path) -> None:
@@ -217,19 +223,22 @@ def sentences(
     camera: TrafficCalibration, grid: ControlPoints, placed: bool, with_points: bool
 ) -> list[str]:
     """What was found, and what would make it surer."""
+    from geoorbit_ros.calibration.traffic.doubts import doubts, scale_sigmas
     from geoorbit_ros.calibration.traffic.estimate import ODD_POINT_SIGMAS
     from geoorbit_ros.calibration.traffic.parameters import ROLL, TILT
 
     (focal, focal_s), (height, height_s) = camera.focal_px, camera.height_m
     (view, view_s), (tilt, tilt_s) = camera.field_of_view_deg, camera.degrees(TILT)
     roll, roll_s = camera.degrees(ROLL)
-    scale = grid.facts.scale_sigma
+    along, across = scale_sigmas(camera)
     found = [
         f"From {camera.vehicles} of {len(camera.samples.group)} vehicles:",
         f"  focal length {focal:.0f} ± {focal_s:.0f} px (field of view {view:.1f} ± {view_s:.1f}°)",
         f"  tilt {tilt:.1f} ± {tilt_s:.1f}° below the horizontal, roll {roll:.1f} ± {roll_s:.1f}°",
-        f"  height {height:.1f} ± {height_s:.1f} m; distances ± {100 * scale:.1f} %",
+        f"  height {height:.1f} ± {height_s:.1f} m",
+        f"  distances along the road ± {100 * along:.1f} %, across ± {100 * across:.1f} %",
         f"Lens: {camera.lens_sentence}.",
+        *doubts(camera),
     ]
     if camera.points_off > ODD_POINT_SIGMAS:
         found.append(

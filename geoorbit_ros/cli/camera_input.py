@@ -91,19 +91,23 @@ class CameraInput:
         return (self.input_report, *traffic, *self.image_reports)
 
     def find_lanes(self, tracks: Iterable[Frames], mapper: LaneMapper) -> LaneMap:
-        """See `find_lanes`."""
-        return find_lanes(tracks, mapper, str(self.source), lambda: self.projector)
+        """See `find_lanes`; the lanes say how far they may lie aside together."""
+        from geoorbit_ros.lanes.common_shift import with_shift_sigma
+
+        found = find_lanes(tracks, mapper, str(self.source), lambda: self.projector)
+        return with_shift_sigma(found, self.homography)
 
     def follow_paint(self, lane_map: LaneMap, source: str) -> tuple[LaneMap, NDArray[np.uint8]]:
         """See `markings.fusion.follow_paint`; also the road's image."""
         from geoorbit_ros.cli.images import road_background
         from geoorbit_ros.core.input_report import InputReport
+        from geoorbit_ros.lanes.common_shift import with_shift_sigma
         from geoorbit_ros.markings.fusion import follow_paint
 
         image, report = road_background(source), InputReport(source, "images")
         found = follow_paint(lane_map, image, self.homography, self.image_size, report)
         self.image_reports.append(report)
-        return found, image
+        return with_shift_sigma(found, self.homography), image
 
     def ground_tracks(self) -> Iterator[Frames]:
         """Ground tracks in blocks, under a progress bar."""

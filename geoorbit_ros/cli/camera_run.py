@@ -37,6 +37,7 @@ from geoorbit_ros.core.tables import (
     one_frame,
 )
 from geoorbit_ros.detection.detector import doubt_of
+from geoorbit_ros.lanes.common_shift import with_shift_sigma
 from geoorbit_ros.lanes.confidence import unconfirmed
 from geoorbit_ros.lanes.estimators.estimator import make_estimator
 from geoorbit_ros.lanes.geojson import write_lanes
@@ -315,6 +316,8 @@ class CameraJob:
             )
         if doubt_of(self.detection.detector):
             self.lane_map = unconfirmed(self.lane_map)
+        view = self.run.views.note(self._time_text)
+        self.lane_map = replace(with_shift_sigma(self.lane_map, self.homography), view=view)
         self.run.settle_classes()
         check_images(images, self.detection.left_out, len(self.run.seen))
 
@@ -337,17 +340,17 @@ class CameraJob:
             )
             return LaneMap(run.seen[-1][0], ())
 
+    def _time_text(self, stamp_ns: int) -> str:
+        """A stamp as seconds from the first image."""
+        return f"{(stamp_ns - self.run.seen[0][0]) / 1e9:.1f} s"
+
     def _note_views(self, remarks: InputReport) -> None:
         """Say when the view moved or was another, and which part the lanes are from."""
-        views, start_ns = self.run.views, self.run.seen[0][0]
-
-        def time_text(stamp_ns: int) -> str:
-            return f"{(stamp_ns - start_ns) / 1e9:.1f} s"
-
+        views = self.run.views
         for stretch in views.told:
-            remarks.note(Treatment.NOTED, stretch.sentence(time_text))
+            remarks.note(Treatment.NOTED, stretch.sentence(self._time_text))
         if views.other_views:
-            first, last = (time_text(ns).removesuffix(" s") for ns in views.span_ns())
+            first, last = (self._time_text(ns).removesuffix(" s") for ns in views.span_ns())
             part = f"lanes are from {first} to {last} s, the longest time with one view"
             remarks.note(Treatment.NOTED, f"{part}: the calibration must be of that view")
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import astuple
-from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -83,17 +82,13 @@ def _show_views(database: Path) -> None:
     """What happened to the cameras' views, in sentences: the latest of each camera."""
     from geoorbit_ros.cli.console import say
     from geoorbit_ros.storage.database.reader import TrajectoryReader
-    from geoorbit_ros.view.timeline import stretch_of
+    from geoorbit_ros.view.timeline import stretch_of, utc_text
 
     with TrajectoryReader(database) as reader:
         for camera in reader.cameras():
             events = [stretch_of(*astuple(k)) for k in reader.view_events(camera.camera_id)]
             for event in [k for k in events if k.told][-VIEWS_SHOWN:]:
-                say(f"{camera.camera_id}: {event.sentence(_utc_text)}")
-
-
-def _utc_text(stamp_ns: int) -> str:
-    return datetime.fromtimestamp(stamp_ns / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+                say(f"{camera.camera_id}: {event.sentence(utc_text)}")
 
 
 def _event_count(reader: TrafficReader, series: SeriesName) -> int:

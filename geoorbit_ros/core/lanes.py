@@ -77,6 +77,9 @@ class Lane:
         right_edge: The same of the right one.
         driven_offset_m: How far left of the middle between two painted lines the median driver is;
             NaN where not both are seen.
+        shift_sigma_m: 1-sigma by which the centreline, the left and the right boundary lie aside as
+            a whole, by errors of the calibration that no traffic averages; NaN where the producer
+            doesn't say.
     """
 
     lane_id: int
@@ -94,6 +97,7 @@ class Lane:
     left_edge: LaneEdge | None = None
     right_edge: LaneEdge | None = None
     driven_offset_m: float = float("nan")
+    shift_sigma_m: tuple[float, float, float] = (float("nan"),) * 3
 
     @property
     def middle(self) -> tuple[float, float, float]:
@@ -146,6 +150,21 @@ class CrossSection:
 
 
 @dataclass(frozen=True, slots=True)
+class ViewNote:
+    """What a person should know of the camera's view when a lane map was published.
+
+    Attributes:
+        held: Whether the lanes are those of an earlier time, as the image does not show them now.
+        since_ns: Since when.
+        why: What happened, in a sentence.
+    """
+
+    held: bool
+    since_ns: int
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
 class LaneMap:
     """All lanes one camera knows at one time.
 
@@ -158,6 +177,8 @@ class LaneMap:
         segments: Trajectory segments that the map was derived from; 0 when none or unknown.
         doubtful: Something speaks against the calibration or the boxes, so that no lane is
             confirmed, however much traffic there is.
+        view: What is to be known of the camera's view; None: it is where it was calibrated, or
+            nobody watches it.
     """
 
     stamp_ns: int
@@ -166,6 +187,12 @@ class LaneMap:
     visible_m: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 2)))
     segments: int = 0
     doubtful: bool = False
+    view: ViewNote | None = None
+
+    @property
+    def held(self) -> bool:
+        """Whether the lanes are those of an earlier time."""
+        return self.view is not None and self.view.held
 
     @property
     def confirmed(self) -> tuple[Lane, ...]:

@@ -19,7 +19,7 @@ from geoorbit_ros import __version__
 from geoorbit_ros.calibration.datum import Datum
 from geoorbit_ros.core.input_report import InputReport
 from geoorbit_ros.core.lane_order import lane_numbers
-from geoorbit_ros.core.lanes import Lane, LaneEdge, LaneMap
+from geoorbit_ros.core.lanes import Lane, LaneEdge, LaneMap, ViewNote
 from geoorbit_ros.lanes.geojson_reader import (
     EXPECTED,
     Collection,
@@ -76,6 +76,7 @@ def lanes_to_geojson(
             "estimator": estimator,
             "stamp_ns": lane_map.stamp_ns,
             **({"doubtful": True} if lane_map.doubtful else {}),
+            **_view_members(lane_map.view),
             "datum": {"latitude": datum.latitude_deg, "longitude": datum.longitude_deg},
             "visible": _polygon(lane_map.visible_m, datum),
             "cross_sections": [
@@ -91,7 +92,7 @@ def lanes_to_geojson(
         "features": [
             feature
             for lane in lane_map.lanes
-            for feature in _lane_features(lane, numbers[lane.lane_id], datum)
+            for feature in _lane_features(lane, numbers[lane.lane_id], datum, held=lane_map.held)
         ],
     }
 
@@ -169,7 +170,16 @@ def read_lanes(path: Path | str, datum: Datum | None = None) -> LaneMap:
     return read_lane_file(path, datum).lane_map
 
 
-def _lane_features(lane: Lane, lane_number: int, datum: Datum) -> Iterator[dict[str, Any]]:
+def _view_members(view: ViewNote | None) -> dict[str, Any]:
+    if view is None:
+        return {}
+    about = {"held": view.held, "since_ns": view.since_ns, "why": view.why}
+    return {**({"held": True} if view.held else {}), "view": about}
+
+
+def _lane_features(
+    lane: Lane, lane_number: int, datum: Datum, *, held: bool
+) -> Iterator[dict[str, Any]]:
     properties = {
         "lane_number": lane_number,
         "status": lane.status,
@@ -184,10 +194,14 @@ def _lane_features(lane: Lane, lane_number: int, datum: Datum) -> Iterator[dict[
     }
     if np.isfinite(lane.driven_offset_m):
         properties["driven_offset_m"] = _rounded(lane.driven_offset_m, 3)
+    if held:
+        properties["held"] = True
     lines = {"centerline": lane.centerline_m, "left": lane.left_m, "right": lane.right_m}
     edges = {"left": lane.left_edge, "right": lane.right_edge}
-    for role, line_m in lines.items():
+    for (role, line_m), shift_m in zip(lines.items(), lane.shift_sigma_m, strict=True):
         own = _edge_properties(edges.get(role))
+        if np.isfinite(shift_m):
+            own = {"shift_sigma_m": _rounded(shift_m, 3)} | own
         yield {
             "type": "Feature",
             "id": f"lane-{lane.lane_id}-{role}",

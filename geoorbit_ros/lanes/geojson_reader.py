@@ -25,6 +25,7 @@ from geoorbit_ros.core.lanes import (
     Marking,
     MarkingColour,
     Status,
+    ViewNote,
 )
 from geoorbit_ros.core.polylines import offset_line, project
 from geoorbit_ros.lanes.geojson_tidying import Tidying, is_number
@@ -33,6 +34,8 @@ EXPECTED = "a GeoJSON file of lanes"
 ROLES = ("centerline", "left", "right")
 MAX_EXTENT_M = 20_000.0
 """A lane further from the datum than this is in the wrong place: no camera sees 20 km."""
+MAX_WHY_TEXT = 300
+"""Characters of a sentence about the view; longer ones are cut."""
 MAX_LANE_ID = 2**31 - 1
 """Ids of lanes are 32 bits wide in messages."""
 MAX_FILE_TEXT = 256_000_000
@@ -204,7 +207,8 @@ def map_of(collection: Collection, datum: Datum, lanes: tuple[Lane, ...]) -> Lan
         stamp_ns = about.get("stamp_ns", 0)
         if not (is_number(stamp_ns) and abs(stamp_ns) < 2**63):
             raise ValueError(f"stamp_ns {stamp_ns!r:.40}")
-        return LaneMap(int(stamp_ns), lanes, sections, visible, doubtful=doubtful)
+        view = _view_note(about.get("view"))
+        return LaneMap(int(stamp_ns), lanes, sections, visible, doubtful=doubtful, view=view)
     except (TypeError, KeyError, ValueError, IndexError, OverflowError) as error:
         place = f"{collection.path}, 'geoorbit'"
         raise InputFileError(place, error, "the members docs/formats.md lists") from error
@@ -246,6 +250,10 @@ def _lane(collection: Collection, lane_id: int, roles: dict[str, Line], datum: D
         collection.report.add(Treatment.REPAIRED, 2, text, f"lane {lane_id}")
     if not np.isfinite(width) and both:
         width = float(np.mean(np.hypot(*(sides[0] - sides[1]).T)))
+    shifts = {
+        role: _number(roles[role].properties if role in roles else {}, "shift_sigma_m", np.nan)
+        for role in ROLES
+    }
     status: Status = given.get("status", "confirmed")
     return Lane(
         lane_id=lane_id,
@@ -262,6 +270,7 @@ def _lane(collection: Collection, lane_id: int, roles: dict[str, Line], datum: D
         left_edge=edges[0],
         right_edge=edges[1],
         driven_offset_m=_number(given, "driven_offset_m", float("nan")),
+        shift_sigma_m=(shifts["centerline"], shifts["left"], shifts["right"]),
     )
 
 
@@ -375,3 +384,19 @@ def _points(place: str, coordinates: object) -> NDArray[np.float64]:
 def _number(properties: dict[str, Any], key: str, default: float) -> float:
     value = properties.get(key)
     return default if value is None else float(value)
+
+
+def _view_note(view: object) -> ViewNote | None:
+    """What a map says of the view when it was made.
+
+    Raises:
+        KeyError, TypeError, ValueError: Not what `docs/formats.md` lists.
+    """
+    if not view:
+        return None
+    if not isinstance(view, dict):
+        raise TypeError(f"view {view!r:.40}")
+    since_ns = view["since_ns"]
+    if not (is_number(since_ns) and abs(since_ns) < 2**63):
+        raise ValueError(f"since_ns {since_ns!r:.40}")
+    return ViewNote(view["held"] is True, int(since_ns), str(view["why"])[:MAX_WHY_TEXT])

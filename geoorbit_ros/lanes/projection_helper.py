@@ -68,7 +68,8 @@ class ProjectionHelper:
                 begin, (stamps, counts) = ground.row_count, ground.see(last)
                 rows = ground.rows(begin, ground.row_count)
                 block = with_doubts(Frames(stamps, np.append(0, np.cumsum(counts)), rows), doubtful)
-                if doubtful.any():
+                block = projector.with_bends(block)
+                if doubtful.any() or projector.bent:
                     ground.put(begin, block.rows)
                 first = last
                 yield block

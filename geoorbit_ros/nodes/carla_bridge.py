@@ -68,6 +68,8 @@ class CarlaBridgeNode(GeoOrbitNode[CarlaBridgeParameters]):
             topic = f"{camera.name}/carla/image/compressed"
             publisher = self.create_publisher(CompressedImage, topic, qos)
             self.server.add_camera(camera, partial(self._on_image, publisher))
+            if camera.left_out:
+                self.get_logger().warning(camera.left_out)
         TableStream(self, "twin/tracks", TRACK_DTYPE, p, self._on_step, lambda: None)
         self.create_subscription(NavSatFix, "twin/datum", self._on_datum, LATCHED)
 

@@ -19,21 +19,20 @@ from geoorbit_ros.calibration.datum import Datum, given_datum
 from geoorbit_ros.calibration.homography import Homography, fit_homography
 from geoorbit_ros.conversions import (
     datum_to_fix,
-    decode_table,
     encode_pose_array,
     encode_table,
     plane_message,
     vehicle_poses,
 )
-from geoorbit_ros.core.errors import GeoOrbitError
 from geoorbit_ros.core.tables import PIXEL_TRACK_DTYPE
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.nodes.support.lens_listener import LensListener
 from geoorbit_ros.nodes.support.process import run_node
-from geoorbit_ros.nodes.support.qos import LATCHED, LOOKS, stream_qos
+from geoorbit_ros.nodes.support.qos import LATCHED, stream_qos
 from geoorbit_ros.nodes.support.road_paint import PLANE_TOPIC
 from geoorbit_ros.nodes.support.table_stream import TableStream
-from geoorbit_ros.view.looks import VIEW_DTYPE, look_of
+from geoorbit_ros.nodes.support.view_listener import listen_to_views
+from geoorbit_ros.view.looks import ViewLook
 from geoorbit_ros.view.memory import named_files
 from geoorbit_ros.view.projection import ViewProjector
 
@@ -97,8 +96,7 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
         TableStream(
             self, "tracks_px", PIXEL_TRACK_DTYPE, p, self._on_frame, lambda: self._views.reset()
         )
-        self._view_topic = self.resolve_topic_name("view")
-        self.create_subscription(PointCloud2, "view", self._on_view, LOOKS, raw=True)
+        listen_to_views(self, self._on_view)
 
     def _calibrate(self, points: ControlPoints) -> None:
         """Fit the road plane, tell what is to be said about it, and publish it."""
@@ -175,12 +173,8 @@ class HomographyNode(GeoOrbitNode[HomographyParameters]):
     def _on_frame(self, stamp_ns: int, rows: NDArray[np.void]) -> None:
         self._publish(self._views.take(stamp_ns, rows))
 
-    def _on_view(self, cdr: bytes) -> None:
-        try:
-            stamp_ns, _, rows = decode_table(cdr, VIEW_DTYPE, self._view_topic)
-            self._publish(self._views.look(look_of(stamp_ns, rows, self._view_topic)))
-        except GeoOrbitError as error:
-            self.diagnostics.refuse(error)
+    def _on_view(self, look: ViewLook) -> None:
+        self._publish(self._views.look(look))
 
     def _publish(self, frames: Iterable[tuple[int, NDArray[np.void]]]) -> None:
         for stamp_ns, ground in frames:

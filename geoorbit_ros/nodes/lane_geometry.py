@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.core.tables import TRACK_DTYPE
 from geoorbit_ros.federated.keys import Verifier, public_key
 from geoorbit_ros.federated.payloads.lane_parameters import MAX_BYTES, ThetaInbox
+from geoorbit_ros.lanes.common_shift import with_shift_sigma
 from geoorbit_ros.lanes.mapping.live_mapper import LiveMapper
 from geoorbit_ros.lanes.parameters import LaneParameters
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
@@ -29,6 +30,7 @@ from geoorbit_ros.nodes.support.qos import LATCHED
 from geoorbit_ros.nodes.support.reference_listener import PriorListener
 from geoorbit_ros.nodes.support.road_paint import PaintListener
 from geoorbit_ros.nodes.support.table_stream import TableStream
+from geoorbit_ros.nodes.support.view_listener import ViewNotes
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +59,7 @@ class LaneGeometryParameters:
 
 
 class LaneGeometryNode(GeoOrbitNode[LaneGeometryParameters]):
-    """Subscribes `tracks`, `datum`, `lane_parameters`; publishes the lane map on `lanes…`, latched.
+    """Subscribes `tracks`, `datum`, `view`; publishes the lane map on `lanes…`, latched.
 
     Boundaries follow painted lines once `road_plane` and `road_image/compressed` have come.
     The map is renewed every `update_period_s` by the stamps of the tracks, and when the service
@@ -83,6 +85,7 @@ class LaneGeometryNode(GeoOrbitNode[LaneGeometryParameters]):
         self._prior = PriorListener(self) if p.map_prior else None
         self.paint = PaintListener(self)
         self._lanes = LanePublisher(self, p.frame_id, p.estimator, tentative=p.publish_tentative)
+        self._view = ViewNotes(self, self._on_view)
         TableStream(self, "tracks", TRACK_DTYPE, p, self._on_frame, self._mapper.restart)
         self.create_subscription(NavSatFix, "datum", self._on_datum, LATCHED)
         PayloadSubscription(self, "lane_parameters", LATCHED, self._on_theta, MAX_BYTES)
@@ -107,6 +110,8 @@ class LaneGeometryNode(GeoOrbitNode[LaneGeometryParameters]):
             "predictions": self._inbox.taken,
             "parameter_version": self._inbox.version,
             **{f"theta_{name}": value for name, value in asdict(self.theta).items()},
+            "view": self._view.note.why if self._view.note else "",
+            "held": self._view.note is not None and self._view.note.held,
             "paint": self.paint.sentence,
             "datum": "known" if self.datum else "not received yet",
         }
@@ -137,10 +142,19 @@ class LaneGeometryNode(GeoOrbitNode[LaneGeometryParameters]):
             if self._latest is not None:
                 self._publish(self._latest)
 
+    def _on_view(self) -> None:
+        """Lanes that are held say so at once, and so do those that are live again."""
+        if self._latest is not None:
+            self._publish(self._latest)
+
     def _publish(self, lane_map: LaneMap, *, anew: bool = False) -> None:
         self._latest = lane_map
+        lane_map = replace(lane_map, view=self._view.note)
         refined = lane_map if self._prior is None else self._prior.refine(lane_map)
-        self._lanes.publish(self.paint.follow(refined, anew=anew), self.datum)
+        bounded = self.paint.follow(refined, anew=anew)
+        if self.paint.plane is not None:
+            bounded = with_shift_sigma(bounded, self.paint.plane)
+        self._lanes.publish(bounded, self.datum)
         self.diagnostics.published += 1
         self.lane_maps += 1
 

@@ -10,21 +10,21 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
-from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 
-from geoorbit_ros.conversions import decode_string, decode_table
+from geoorbit_ros.conversions import decode_string
 from geoorbit_ros.core.bounded_json import read_json
 from geoorbit_ros.core.errors import GeoOrbitError, MessageError, ParameterError
 from geoorbit_ros.core.tables import TRACK_DTYPE
 from geoorbit_ros.core.wall_clock import RetentionClock, refuse_ahead
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.nodes.support.process import run_node
-from geoorbit_ros.nodes.support.qos import LATCHED_ALL, LOOKS
+from geoorbit_ros.nodes.support.qos import LATCHED_ALL
 from geoorbit_ros.nodes.support.table_stream import TableStream
+from geoorbit_ros.nodes.support.view_listener import listen_to_views
 from geoorbit_ros.storage.database.reader import ViewEvent
 from geoorbit_ros.storage.database.writer import TrajectoryDatabase
-from geoorbit_ros.view.looks import VIEW_DTYPE, look_of
+from geoorbit_ros.view.looks import ViewLook
 from geoorbit_ros.view.timeline import ViewStretch, ViewTimeline
 
 FLUSH_PERIOD_S = 0.5
@@ -76,8 +76,7 @@ class RecorderNode(GeoOrbitNode[RecorderParameters]):
         TableStream(self, "tracks", TRACK_DTYPE, self.p, self._on_frame, lambda: None)
         self._geojson_topic = self.resolve_topic_name("lanes/geojson")
         self.create_subscription(String, "lanes/geojson", self._on_lanes, LATCHED_ALL, raw=True)
-        self._view_topic = self.resolve_topic_name("view")
-        self.create_subscription(PointCloud2, "view", self._on_view, LOOKS, raw=True)
+        listen_to_views(self, self._on_view)
         self.create_timer(
             FLUSH_PERIOD_S, self._maintain, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
@@ -102,13 +101,9 @@ class RecorderNode(GeoOrbitNode[RecorderParameters]):
         except GeoOrbitError as error:
             self.diagnostics.refuse(error)
 
-    def _on_view(self, cdr: bytes) -> None:
-        try:
-            stamp_ns, _, rows = decode_table(cdr, VIEW_DTYPE, self._view_topic)
-            refuse_ahead(stamp_ns, self._view_topic)
-            self._views.add(look_of(stamp_ns, rows, self._view_topic))
-        except GeoOrbitError as error:
-            self.diagnostics.refuse(error)
+    def _on_view(self, look: ViewLook) -> None:
+        refuse_ahead(look.stamp_ns, self.resolve_topic_name("view"))
+        self._views.add(look)
 
     def _store_views(self) -> None:
         """Store what is new of the view's history: the end of the last stretch, and later ones."""

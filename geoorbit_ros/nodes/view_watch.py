@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 
 from sensor_msgs.msg import PointCloud2
@@ -25,7 +24,7 @@ from geoorbit_ros.view.memory import (
     save_places,
 )
 from geoorbit_ros.view.picture import Grey
-from geoorbit_ros.view.timeline import ViewTimeline
+from geoorbit_ros.view.timeline import ViewTimeline, clock_text
 from geoorbit_ros.view.watch import ViewWatch
 
 SAVE_PERIOD_S = 60.0
@@ -88,7 +87,7 @@ class ViewWatchNode(GeoOrbitNode[ViewWatchParameters]):
             "sway_px": f"{look.sway_px:.2f}" if look else "",
             "sigma_px": f"{look.sigma_px:.3f}" if look else "",
             "views": len(self._watch.places),
-            "last_event": told[-1].sentence(_time_text) if told else "",
+            "last_event": told[-1].sentence(clock_text) if told else "",
         }
 
     def close(self) -> None:
@@ -117,10 +116,8 @@ class ViewWatchNode(GeoOrbitNode[ViewWatchParameters]):
         look = self._watch.look_at(stamp_ns, picture, size)
         self._latest, self.looks = look, self.looks + 1
         self.publish_stream(self.view, encode_table(stamp_ns, frame_id, look.row()))
-        if self._timeline.size != size:
-            self._timeline = ViewTimeline(size)
         if self._timeline.add(look) and look.usable:
-            self.get_logger().info(self._timeline.stretches[-1].sentence(_time_text))
+            self.get_logger().info(self._timeline.stretches[-1].sentence(clock_text))
         if not 0 <= stamp_ns - self._saved_ns < SAVE_PERIOD_S * 1e9:
             self._saved_ns = stamp_ns
             self._save()
@@ -141,11 +138,7 @@ class ViewWatchNode(GeoOrbitNode[ViewWatchParameters]):
         stretches = self._timeline.stretches
         if not stretches or not stretches[-1].troubled:
             return None
-        return stretches[-1].sentence(_time_text)
-
-
-def _time_text(stamp_ns: int) -> str:
-    return datetime.fromtimestamp(stamp_ns / 1e9, UTC).strftime("%H:%M:%S")
+        return stretches[-1].sentence(clock_text)
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -37,8 +37,10 @@ from geoorbit_ros.report.text import (
     count,
     number,
     score_sentences,
+    shift_sentences,
     summary_sentence,
     tentative_sentences,
+    view_sentences,
 )
 from geoorbit_ros.report.traffic.content import TrafficContent
 from geoorbit_ros.report.traffic.page import traffic_sections
@@ -89,12 +91,16 @@ def report_html(content: ReportInput) -> str:
     """The page as text."""
     lanes = content.lane_map.lanes
     title = f"Lanes of {content.camera_id}"
-    tentative = tentative_sentences(content.lane_map)
+    told = [
+        sentence
+        for sentences in (view_sentences, shift_sentences, tentative_sentences)
+        for sentence in sentences(content.lane_map)
+    ]
     parts = [
         f"<header><p class='kicker'>Lane report</p><h1>{escape(title)}</h1>"
         f"<p class='lead'>{escape(summary_sentence(lanes))}</p>{_tiles(content)}</header>",
         remarks_section(content.remarks),
-        section("Lanes", lane_table(lanes) + bullets(tentative) + LANE_NOTE + _boundaries(lanes)),
+        section("Lanes", lane_table(lanes) + bullets(told) + LANE_NOTE + _boundaries(lanes)),
         _drawings(content),
         _histograms(content),
     ]

@@ -51,6 +51,30 @@ def missing_sentence(lane: Lane) -> str:
     return f"{seen}: about {more} will confirm it."
 
 
+def view_sentences(lane_map: LaneMap) -> list[str]:
+    """What is to be known of the camera's view: lanes that are held, and since when."""
+    view = lane_map.view
+    if view is None:
+        return []
+    if view.held:
+        return [f"The lanes are held, those of an earlier time: {view.why}."]
+    return [f"The lanes are live; boxes are put back to the view that was calibrated: {view.why}."]
+
+
+def shift_sentences(lane_map: LaneMap) -> list[str]:
+    """By how much lanes lie aside together, by the calibration."""
+    shifts = [lane.shift_sigma_m[0] for lane in lane_map.lanes]
+    known = [shift for shift in shifts if math.isfinite(shift)]
+    if not known:
+        return []
+    low, high = (number(value) for value in (min(known), max(known)))
+    by = low if low == high else f"{low} to {high}"
+    return [
+        f"Each lane may lie aside as a whole by {by} m (1σ), by the errors of the calibration, "
+        "however many vehicles were seen."
+    ]
+
+
 def tentative_sentences(lane_map: LaneMap) -> list[str]:
     """Why lanes are not confirmed, and what they still need."""
     if lane_map.doubtful:

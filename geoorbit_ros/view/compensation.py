@@ -12,22 +12,30 @@ from numpy.typing import NDArray
 
 from geoorbit_ros.core.tables import FLAG_GROUND_POINT, FLAG_TRUNCATED
 from geoorbit_ros.view.looks import MAIN_VIEW, NO_VIEW, ViewLook, ViewState
-from geoorbit_ros.view.picture import Matrix, moved, size_of_move
+from geoorbit_ros.view.picture import Matrix, displacement, moved, size_of_move
+from geoorbit_ros.view.sway import LEAST_LOOKS, Swing, find_swing
 
 MEMORY_S = 30.0
 """Looks are kept for so long. Chosen: longer than detector and tracker are ever behind."""
 FOLLOWS_S = 0.5
 """Looks farther apart than this say nothing about the time between them where the view moved."""
-LINE_SHARE, CURVE_SHARE = 0.12, 0.03
-"""Of the distance between two looks: 1-sigma error of a straight line between them, and of a cubic
-through the two before and after as well. A sway of 2 Hz that is looked at every 0.08 s leaves the
-line by 12 % of its amplitude at most and the cubic by 2 %."""
+LINE_SHARE = 0.5
+"""1-sigma error of a straight line between two looks at a camera that sways, as a share of its
+sway: between looks 0.2 s apart a swing of 2 Hz leaves it by 0.7 of its size at most."""
+SWING_S, SWING_EVERY_S = 6.0, 1.0
+"""How the camera swings is found from so long, anew each second. Chosen: shorter does not know the
+frequency, longer is of another gust."""
+SWING_LOOKS = 10
+"""Looks before an image that say where it lay, besides the one after. Chosen: two seconds; more
+take more time."""
+SWING_SIGMA_PX = 0.12
+"""1-sigma of a look at a camera that shakes, at 1280 px width, measured in rendered films."""
 JUMP_PX = 2.0
 """A steady view that lies so much elsewhere at the next look, at 1280 px width, was bumped at some
 time between them: those images are not used. Chosen: as `movement.MOVED_PX`."""
 WAIT_S = 0.4
 """Frames of a camera that shakes wait so long for the look after them. Chosen: the watch looks
-every 0.08 s then; longer delays them more when it is behind."""
+every 0.2 s then; longer delays them more when it is behind."""
 SILENT_S = 10.0
 """The last look holds for so long when no other follows."""
 BORDER_PX = 1.0
@@ -68,6 +76,8 @@ class ViewMotions:
         self._size, self._memory_s = image_size, memory_s
         self._unit = image_size[0] / 1280.0
         self._looks: list[ViewLook] = []  # a deque is slow to search in
+        self._second = -1
+        self._swings: tuple[Swing, Swing] | None = None
 
     def add(self, look: ViewLook) -> None:
         """Take a look; one that is not later than the last begins anew."""
@@ -76,7 +86,7 @@ class ViewMotions:
         self._looks.append(look)
         if look.stamp_ns - self._looks[0].stamp_ns > self._memory_s * 1e9:
             oldest_ns = look.stamp_ns - round(self._memory_s * 1e9)
-            del self._looks[: bisect_right(self._looks, oldest_ns, key=lambda k: k.stamp_ns)]
+            del self._looks[: bisect_right(self._looks, oldest_ns, key=_stamp)]
 
     @property
     def latest(self) -> ViewLook | None:
@@ -96,7 +106,7 @@ class ViewMotions:
 
     def at(self, stamp_ns: int) -> ViewAt:
         """The image's motion at a time."""
-        k = bisect_right(self._looks, stamp_ns, key=lambda look: look.stamp_ns)
+        k = bisect_right(self._looks, stamp_ns, key=_stamp)
         before = self._looks[k - 1] if k else None
         after = self._looks[k] if k < len(self._looks) else None
         if before is not None and before.stamp_ns == stamp_ns:
@@ -121,26 +131,50 @@ class ViewMotions:
             return UNUSABLE
         share = (stamp_ns - before.stamp_ns) / span_ns
         motion = (1.0 - share) * before.motion + share * after.motion
-        left_px = LINE_SHARE * step_px
-        if self._shakes(before) and (curve := self._curve(k, stamp_ns)) is not None:
-            motion, left_px = curve, CURVE_SHARE * step_px
+        left_px = 0.0
+        if self._shakes(before):
+            left_px = LINE_SHARE * before.sway_px
+            if (swung := self._swung(k, stamp_ns)) is not None:
+                motion, left_px = swung
         sigma_px = math.hypot(max(before.sigma_px, after.sigma_px), left_px)
         if far:
             sigma_px = math.hypot(sigma_px, before.sway_px)
         return _view_at(before.view, motion, sigma_px)
 
-    def _curve(self, k: int, stamp_ns: int) -> Matrix | None:
-        """The motion by a cubic (Lagrange) through four looks; None where they are far apart."""
-        near = self._looks[max(k - 2, 0) : k + 2]
-        times = [(look.stamp_ns - stamp_ns) / 1e9 for look in near]
-        alike = all(look.usable and look.view == near[0].view for look in near)
-        if len(near) < 4 or not alike or times[-1] - times[0] > FOLLOWS_S:
+    def _swung(self, k: int, stamp_ns: int) -> tuple[Matrix, float] | None:
+        """The motion by how the camera swings, and its 1-sigma; None where that is not known."""
+        near = self._looks[max(k - SWING_LOOKS, 0) : k + 1]
+        swings = self._swings_at(stamp_ns, near[-1].view)
+        if swings is None or not all(look.usable and look.view == near[0].view for look in near):
             return None
-        motion = np.zeros((3, 3))
-        for at_s, look in zip(times, near, strict=True):
-            others = [other for other in times if other != at_s]
-            motion += look.motion * math.prod(other / (other - at_s) for other in others)
-        return motion
+        time_s = np.array([(look.stamp_ns - stamp_ns) / 1e9 for look in near])
+        motions = np.stack([look.motion for look in near])
+        middle, motion, variance = motions.mean(axis=0), motions.mean(axis=0), 0.0
+        for row, swing in enumerate(swings):
+            weight, left = swing.weights(time_s)
+            motion[row] += weight @ (motions[:, row] - middle[row])
+            variance = max(variance, left)
+        return motion, math.sqrt(variance)
+
+    def _swings_at(self, stamp_ns: int, view: int) -> tuple[Swing, Swing] | None:
+        """How the camera swings across and down, from looks of before this second."""
+        step_ns = round(SWING_EVERY_S * 1e9)
+        second = stamp_ns // step_ns
+        if self._second != second:
+            first_ns, last_ns = second * step_ns - round(SWING_S * 1e9), second * step_ns
+            first, last = (bisect_right(self._looks, ns, key=_stamp) for ns in (first_ns, last_ns))
+            looks = [k for k in self._looks[first:last] if k.usable and k.view == view]
+            self._second, self._swings = second, self._found(looks)
+        return self._swings
+
+    def _found(self, looks: list[ViewLook]) -> tuple[Swing, Swing] | None:
+        if len(looks) < LEAST_LOOKS:
+            return None
+        time_s = np.array([(look.stamp_ns - looks[0].stamp_ns) / 1e9 for look in looks])
+        place = np.array([displacement(look.motion, self._size)[0] for look in looks])
+        sigma_px = SWING_SIGMA_PX * self._unit
+        across, down = (find_swing(time_s, axis, sigma_px) for axis in place.T)
+        return None if across is None or down is None else (across, down)
 
     def _shakes(self, look: ViewLook) -> bool:
         return look.state is ViewState.SHAKING or look.sway_px > 0.8 * self._unit
@@ -152,6 +186,10 @@ class ViewMotions:
         if math.isnan(look.sigma_px):
             return AS_IT_IS
         return _view_at(look.view, look.motion, sigma_px)
+
+
+def _stamp(look: ViewLook) -> int:
+    return look.stamp_ns
 
 
 def _view_at(view: int, motion: Matrix, sigma_px: float) -> ViewAt:

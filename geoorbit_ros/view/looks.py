@@ -60,9 +60,12 @@ VIEW_DTYPE = np.dtype(
         ("view", "<i4"),
         ("state", "<i4"),
         ("blindness", "<i4"),
+        ("width", "<i4"),
+        ("height", "<i4"),
     ]
 )
-"""`view`, one row per look; see `ViewLook`. `since_s` is how long ago the state began."""
+"""`view`, one row per look; see `ViewLook`. `since_s` is how long ago the state began; `width` and
+`height` are those of the image."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +84,7 @@ class ViewLook:
         since_ns: Since when the state holds.
         blindness: Why, where it is blind.
         measured: False where the view was not found, once, and the look before still holds.
+        size: (width, height) of the image in pixels; zeros where nobody says.
     """
 
     stamp_ns: int
@@ -93,6 +97,7 @@ class ViewLook:
     since_ns: int = 0
     blindness: Blindness = Blindness.NONE
     measured: bool = True
+    size: tuple[int, int] = (0, 0)
 
     @property
     def usable(self) -> bool:
@@ -106,6 +111,7 @@ class ViewLook:
             row[name] = value
         for name in ("sigma_px", "sway_px", "moved_px", "view", "state", "blindness"):
             row[name] = getattr(self, name)
+        row["width"], row["height"] = self.size
         row["since_s"] = (self.stamp_ns - self.since_ns) / 1e9
         return row
 
@@ -131,4 +137,8 @@ def look_of(stamp_ns: int, rows: NDArray[np.void], place: str) -> ViewLook:
     )
     since_ns = stamp_ns - round(since_s * 1e9) if math.isfinite(since_s) else stamp_ns
     view = int(row["view"])
-    return ViewLook(stamp_ns, state, view, motion, sigma_px, sway_px, moved_px, since_ns, blindness)
+    size = int(row["width"]), int(row["height"])
+    return ViewLook(
+        *(stamp_ns, state, view, motion, sigma_px, sway_px, moved_px, since_ns, blindness),
+        size=size,
+    )

@@ -26,6 +26,10 @@ LEAST_SHARE = 0.15
 LEAST_CELLS = 5
 """Nor where the inliers lie in fewer of 4 x 3 cells of the picture. Chosen: a sign, or the words
 in the corners of the image, fill four."""
+MARGIN, LEAST_BETWEEN = 0.15, 5
+"""Share of the height at the top and at the bottom in which names, clocks and banners stand, and
+the least number of inliers between. Chosen: in fog they are most of what the image shows, and the
+same in each view."""
 PERSPECTIVE_GAIN = 0.8
 """Perspective is taken where it makes the errors this much smaller, or more points fit. Chosen:
 larger bends the picture by noise, smaller leaves the corners of a turned camera apart."""
@@ -49,7 +53,9 @@ class MotionFit:
     share: float
 
 
-def fit_motion(then: Array, now: Array, of: int, shape: tuple[int, ...]) -> MotionFit | None:
+def fit_motion(
+    then: Array, now: Array, of: int, shape: tuple[int, ...], start: Matrix
+) -> MotionFit | None:
     """Turn, zoom and shift from points (N, 2) to points (N, 2); perspective where it shows.
 
     RANSAC (Fischler and Bolles 1981) finds the points that agree, least squares the motion.
@@ -59,13 +65,17 @@ def fit_motion(then: Array, now: Array, of: int, shape: tuple[int, ...]) -> Moti
         now: After.
         of: How many points were looked for.
         shape: Rows and columns of the picture.
+        start: A guess. Where nearly all points agree that it is right but for a shift, nothing is
+            drawn at random.
 
     Returns:
         None where too few agree.
     """
     if len(then) < LEAST_INLIERS:
         return None
-    matrix, inlier = _similarity(then, now, TOLERANCE_PX)
+    matrix, inlier = _near(then, now, start)
+    if np.count_nonzero(inlier) < PLAIN_SHARE * len(then):
+        matrix, inlier = _similarity(then, now, TOLERANCE_PX)
     parameters = 4
     if matrix is None or np.count_nonzero(inlier) < PLAIN_SHARE * len(then):
         bent, more = _perspective(then, now)
@@ -79,6 +89,9 @@ def fit_motion(then: Array, now: Array, of: int, shape: tuple[int, ...]) -> Moti
         return None
     if not (_spread(then[inlier], shape) and _spread(now[inlier], shape)):
         return None
+    height = then[inlier, 1] / shape[0]
+    if np.count_nonzero(np.abs(height - 0.5) < 0.5 - MARGIN) < LEAST_BETWEEN:
+        return None
     error = moved(matrix, then[inlier]) - now[inlier]
     square = float((error**2).sum()) / max(2 * count - parameters, 1)
     # Mean variance of the fitted values: the trace of the hat matrix over their number.
@@ -90,12 +103,27 @@ def _similarity(
     then: Array, now: Array, tolerance_px: float
 ) -> tuple[Matrix | None, NDArray[np.bool_]]:
     _, flags = cv2.estimateAffinePartial2D(then, now, ransacReprojThreshold=tolerance_px)
-    inlier = np.asarray(flags).ravel().astype(bool)
+    return _refined(then, now, np.asarray(flags).ravel().astype(bool), tolerance_px)
+
+
+def _near(then: Array, now: Array, start: Matrix) -> tuple[Matrix | None, NDArray[np.bool_]]:
+    """The motion of points that moved as a guess says, all by the same shift beside it."""
+    off = now - moved(start, then)
+    off -= np.median(off, axis=0)
+    return _refined(then, now, np.hypot(off[:, 0], off[:, 1]) <= TOLERANCE_PX, TOLERANCE_PX)
+
+
+def _refined(
+    then: Array, now: Array, inlier: NDArray[np.bool_], tolerance_px: float
+) -> tuple[Matrix | None, NDArray[np.bool_]]:
+    """Least squares of the points that agree, which are chosen anew by what was found."""
+    matrix = None
     for _ in range(3):
         if np.count_nonzero(inlier) < LEAST_INLIERS:
             return None, inlier
         matrix = _least_squares(then[inlier], now[inlier])
-        again = np.hypot(*(moved(matrix, then) - now).T) <= tolerance_px
+        off = moved(matrix, then) - now
+        again = np.hypot(off[:, 0], off[:, 1]) <= tolerance_px
         if np.array_equal(again, inlier):
             break
         inlier = again
@@ -152,12 +180,13 @@ def _plausible(matrix: Matrix, shape: tuple[int, ...]) -> bool:
     if (corners @ matrix[2, :2] + matrix[2, 2] <= 0.1 * matrix[2, 2]).any():
         return False
     after = moved(matrix, corners)
-    side, back = np.roll(after, -1, axis=0) - after, after - np.roll(after, 1, axis=0)
-    turn = back[:, 0] * side[:, 1] - back[:, 1] * side[:, 0]  # twice the corner's triangle
+    side = after[[1, 2, 3, 0]] - after
+    back = -side[[3, 0, 1, 2]]
+    turn = side[:, 0] * back[:, 1] - side[:, 1] * back[:, 0]  # twice the corner's triangle
     share = turn / (width * height)
     return bool((share > 1.0 / MOST_ZOOM**2).all() and (share < MOST_ZOOM**2).all())
 
 
 def _spread(points: Array, shape: tuple[int, ...]) -> bool:
-    cell = np.floor(points / [shape[1], shape[0]] * [4, 3]).astype(int)
-    return len(np.unique(cell, axis=0)) >= LEAST_CELLS
+    cell = np.floor(points * [4 / shape[1], 3 / shape[0]]).astype(int).tolist()
+    return len({(right, down) for right, down in cell}) >= LEAST_CELLS

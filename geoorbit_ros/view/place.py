@@ -6,9 +6,8 @@ from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from geoorbit_ros.view.picture import Grey, Matrix, shifted, warped_back
+from geoorbit_ros.view.picture import Grey, Matrix, warped_back
 from geoorbit_ros.view.reference import Match, Reference
 from geoorbit_ros.view.registration import find, follow
 
@@ -58,11 +57,12 @@ class Place:
     settled: bool = False
     _best: int = 0
     _turn: int = 0
+    _looks: int = 0
     _begin_ns: int | None = None
     _kept_ns: int = 0
     _renewed_ns: int = 0
     _kept: deque[tuple[Grey, Matrix]] = field(default_factory=lambda: deque(maxlen=MEDIAN_OF))
-    _middles: list[NDArray[np.float64]] = field(default_factory=list)
+    _middles: list[Matrix] = field(default_factory=list)
     _shares: deque[float] = field(default_factory=lambda: deque(maxlen=MEDIAN_OF))
 
     @staticmethod
@@ -84,7 +84,9 @@ class Place:
             shaking: Whether the camera shakes.
         """
         best = self.references[self._best]
-        match = follow(best, picture, self.motion, shaking=shaking)
+        self._looks += 1
+        turn = None if self._keeps(stamp_ns) else self._looks
+        match = follow(best, picture, self.motion, turn=turn, shaking=shaking)
         if (match is None or match.share < FEW_SHARE) and len(self.references) > 1:
             match = self._other_reference(picture, match)
         if match is None and search:
@@ -117,10 +119,9 @@ class Place:
 
     def _learn(self, stamp_ns: int, picture: Grey, match: Match) -> None:
         """Keep pictures for a new reference, and make one when the old ones show too little."""
-        spacing_s = SPACING_S if self.settled else FIRST_SPACING_S
         if not self.settled:
-            self._middles.append(self.motion[:2, 2])
-        if 0 <= stamp_ns - self._kept_ns < spacing_s * 1e9:
+            self._middles.append(self.motion)
+        if not self._keeps(stamp_ns):
             return
         if match.sigma_px > SURE_SIGMA_PX or match.share < LEAST_SHARE:
             return
@@ -139,6 +140,11 @@ class Place:
             self._renewed_ns = stamp_ns
             self._add(Reference(_median([warped_back(p, m) for p, m in self._kept])))
 
+    def _keeps(self, stamp_ns: int) -> bool:
+        """Whether the picture of this time is kept, if it is surely of this view."""
+        spacing_s = SPACING_S if self.settled else FIRST_SPACING_S
+        return not 0 <= stamp_ns - self._kept_ns < spacing_s * 1e9
+
     def _keep(self, stamp_ns: int, picture: Grey) -> None:
         self._kept.append((picture, self.motion))
         self._kept_ns = stamp_ns
@@ -149,8 +155,8 @@ class Place:
         A camera that sways shows its first picture at the end of a swing as well as in the middle.
         """
         # Looks of a camera that shakes are dense; the few before that would weigh too much by time.
-        middle = np.mean(self._middles, axis=0)
-        centre = shifted(*middle.tolist())
+        # Turn and zoom, too: the first picture, with its vehicles in it, shows both a little wrong.
+        centre = np.mean(self._middles, axis=0)
         from_centre = [(p, m @ np.linalg.inv(centre)) for p, m in self._kept]
         self.references = [Reference(_median([warped_back(p, m) for p, m in from_centre]))]
         self.motion = self.motion @ np.linalg.inv(centre)

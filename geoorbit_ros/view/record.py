@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.core.lanes import ViewNote
 from geoorbit_ros.view.compensation import ViewAt, ViewMotions
-from geoorbit_ros.view.looks import MAIN_VIEW, NO_VIEW, ViewLook
+from geoorbit_ros.view.looks import MAIN_VIEW, NO_VIEW, ViewLook, ViewState
 from geoorbit_ros.view.timeline import ViewStretch, ViewTimeline
 from geoorbit_ros.view.watch import ViewWatch
 
@@ -34,7 +35,7 @@ class ViewRecord:
         """Take an image (H, W, 3); how it lies, as far as is known without later ones."""
         size = (image.shape[1], image.shape[0])
         if self._motions is None:
-            self._motions, self._timeline = ViewMotions(size, math.inf), ViewTimeline(size)
+            self._motions = ViewMotions(size, math.inf)
         self._watch.note(stamp_ns, image[::SPARSE, ::SPARSE].tobytes())
         if self._watch.due(stamp_ns):
             look = self._watch.look(stamp_ns, image)
@@ -56,6 +57,13 @@ class ViewRecord:
     def told(self) -> list[ViewStretch]:
         """What a person should know of."""
         return self._timeline.told()
+
+    def note(self, time_text: Callable[[int], str]) -> ViewNote | None:
+        """What lanes should say of the view at the recording's end."""
+        last = self._timeline.stretches[-1] if self._timeline.stretches else None
+        if last is None or (last.view == self.main_view and last.state is ViewState.OTHER_VIEW):
+            return None
+        return self._timeline.note(time_text)
 
     @property
     def main_view(self) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -31,6 +32,9 @@ calls a foggy day blind, fewer look for a view in a black picture."""
 SAME_SCORE = 0.6
 """Correlation from which a patch is found. Chosen: unrelated patches reach it in one of ten
 places searched, and then lie anywhere; higher loses patches in rain."""
+BENT = 0.02
+"""A motion that turns or stretches by more is taken out of the picture before patches are looked
+for. Chosen: the edge of a patch moves by 0.2 px; larger finds fewer, smaller takes more time."""
 FLAT_PX = 0.1
 """A guess that lies nearer to whole pixels, anywhere, is tried without moving the picture. Chosen:
 the parabola through three correlations errs by a third of a pixel half-way between two of them,
@@ -76,7 +80,7 @@ class Reference:
         return Reference(edge_picture(self.picture))
 
     def match(
-        self, picture: Grey, start: Matrix, radius: int, *, half: bool = False
+        self, picture: Grey, start: Matrix, radius: int, *, every: int = 1, first: int = 0
     ) -> MotionFit | None:
         """The motion of a picture near a first guess.
 
@@ -84,37 +88,41 @@ class Reference:
             picture: Of the same size.
             start: The guess.
             radius: How many pixels patches may lie away from it.
-            half: Look for every second patch only.
+            every: Look for one of so many patches only.
+            first: From which on.
 
         Returns:
             None where too few patches agree.
         """
-        points, patches = self.points, self._patches
-        if half:
-            points, patches = points[::2], patches[::2]
+        points, patches = self.points[first::every], self._patches[first::every]
         guess = moved(start, points)
+        bent = np.abs(start[:2, :2] - np.eye(2)).max() > BENT
+        if bent:
+            picture, guess = warped_back(picture, start), points
         flat = np.abs(guess - np.rint(guess)).max(initial=0.0) <= FLAT_PX
-        if not flat:
-            picture = warped_back(picture, start)
-        base = np.rint(guess if flat else points)
+        base = np.rint(guess) if flat else guess
         height, width = picture.shape
         reach = HALF_PX + radius
         inside = (base >= reach).all(axis=1) & (base < [width - reach, height - reach]).all(axis=1)
-        found, score = base.copy(), np.zeros(len(base))
-        for k in np.flatnonzero(inside).tolist():
-            x, y = base[k].astype(int).tolist()
-            around = _window(picture, x, y, radius)
-            found_at = cv2.matchTemplate(around, patches[k], cv2.TM_CCOEFF_NORMED)
-            result = np.asarray(found_at, np.float64)
-            _, best, _, place = cv2.minMaxLoc(result)
-            if min(place) == 0 or max(place) == 2 * radius:
+        same: list[int] = []
+        near: list[tuple[float, ...]] = []  # place of the best, and scores about it
+        for k, at in zip(np.flatnonzero(inside).tolist(), base[inside].tolist(), strict=True):
+            around = (
+                _window(picture, int(at[0]), int(at[1]), radius)
+                if flat
+                else _about(picture, at, reach)
+            )
+            score = cv2.matchTemplate(around, patches[k], cv2.TM_CCOEFF_NORMED)
+            _, best, _, (x, y) = cv2.minMaxLoc(score)
+            if best < SAME_SCORE or not (0 < x < 2 * radius and 0 < y < 2 * radius):
                 continue  # it would lie farther away, if it is the patch at all
-            score[k] = best
-            found[k] += [_peak(result, *place) - radius, _peak(result.T, *place[::-1]) - radius]
-        same = score >= SAME_SCORE
-        if not flat:
+            same.append(k)
+            row, column = score[y].tolist(), score[:, x].tolist()
+            near.append((x, y, *row[x - 1 : x + 2], *column[y - 1 : y + 2]))
+        found = base[same] + (_peaks(near) - radius)
+        if bent:
             found = moved(start, found)
-        return fit_motion(points[same], found[same], len(points), picture.shape)
+        return fit_motion(points[same], found, len(points), picture.shape, start)
 
 
 def corners(picture: Grey) -> NDArray[np.float64]:
@@ -156,8 +164,21 @@ def _window(picture: Grey, x: int, y: int, more: int) -> Grey:
     return picture[y - reach : y + reach + 1, x - reach : x + reach + 1]
 
 
-def _peak(result: NDArray[np.float64], x: int, y: int) -> float:
-    """Where along a row the greatest value lies: the top of a parabola through three values."""
-    before, middle, after = (float(value) for value in result[y, x - 1 : x + 2])
+def _about(picture: Grey, at: Sequence[float], reach: int) -> Grey:
+    """The window about a place between pixels."""
+    side = 2 * reach + 1
+    return np.asarray(cv2.getRectSubPix(picture, (side, side), (at[0], at[1])), np.uint8)
+
+
+def _peaks(near: Sequence[tuple[float, ...]]) -> NDArray[np.float64]:
+    """(N, 2) where scores are greatest: the tops of parabolas through three of them each way.
+
+    Args:
+        near: (N,) x and y of the best score; scores left of it, there and right; above, there and
+            below.
+    """
+    rows = np.array(near, np.float64).reshape(-1, 2 + 3 + 3)
+    before, middle, after = rows[:, 2:].reshape(-1, 2, 3).transpose(2, 0, 1)
     bend = before - 2.0 * middle + after
-    return x + (0.5 * (before - after) / bend if bend < 0.0 else 0.0)
+    away = np.where(bend < 0.0, 0.5 * (before - after) / np.minimum(bend, -1e-12), 0.0)
+    return np.asarray(rows[:, :2] + away)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 
 import numpy as np
 
+from geoorbit_ros.core.lanes import ViewNote
 from geoorbit_ros.view.looks import MAIN_VIEW, Blindness, ViewLook, ViewState
 
 QUICK_S = 3.0
@@ -57,14 +59,19 @@ class ViewStretch:
         return self.state in (ViewState.MOVED, ViewState.OTHER_VIEW, ViewState.BLIND)
 
     @property
+    def held(self) -> bool:
+        """Whether the image does not show the lanes, which stay as they were before."""
+        return self.state in (ViewState.OTHER_VIEW, ViewState.BLIND)
+
+    @property
     def told(self) -> bool:
         """Whether it is worth a sentence."""
         return self.troubled or self.state is ViewState.SHAKING
 
-    def sentence(self, time_text: Callable[[int], str]) -> str:
-        """What happened, with times as `time_text` writes a stamp."""
+    def sentence(self, time_text: Callable[[int], str], *, goes_on: bool = False) -> str:
+        """What happened, with times as `time_text` writes a stamp; `goes_on`: without an end."""
         since = time_text(self.first_ns)
-        until = f"{since} to {time_text(self.last_ns)}"
+        until = f"since {since}" if goes_on else f"{since} to {time_text(self.last_ns)}"
         if self.state is ViewState.BLIND:
             return f"{_BLIND.get(self.blindness, 'the image is blind')} ({until})"
         if self.state is ViewState.OTHER_VIEW:
@@ -115,6 +122,16 @@ def stretch_of(
     )
 
 
+def clock_text(stamp_ns: int) -> str:
+    """A stamp as the time of day, for logs: UTC."""
+    return datetime.fromtimestamp(stamp_ns / 1e9, UTC).strftime("%H:%M:%S")
+
+
+def utc_text(stamp_ns: int) -> str:
+    """A stamp with its day, for files."""
+    return datetime.fromtimestamp(stamp_ns / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+
+
 MOST_STRETCHES = 1000
 """Of a camera that runs for months, so many are remembered."""
 
@@ -122,18 +139,12 @@ MOST_STRETCHES = 1000
 class ViewTimeline:
     """Joins looks to stretches.
 
-    Args:
-        image_size: (width, height) of the images; None: not known, moves have no direction.
-
     Attributes:
-        size: The same.
         stretches: In time order; the last goes on.
     """
 
-    def __init__(self, image_size: tuple[int, int] | None = None) -> None:
-        self.size = image_size
+    def __init__(self) -> None:
         self.stretches: list[ViewStretch] = []
-        self._middle = None if image_size is None else (np.array(image_size) - 1.0) / 2
 
     def add(self, look: ViewLook) -> bool:
         """Take a look; whether a new stretch began."""
@@ -141,7 +152,7 @@ class ViewTimeline:
         same = last is not None and (last.state, last.blindness) == (look.state, look.blindness)
         if look.state is not ViewState.OTHER_VIEW:  # which gets its number after a while
             same = same and last is not None and last.view == look.view
-        right, down = self._shift(look)
+        right, down = _shift(look)
         if last is not None and same:
             quick = look.stamp_ns - last.first_ns <= QUICK_S * 1e9
             self.stretches[-1] = replace(
@@ -177,6 +188,13 @@ class ViewTimeline:
         )
         return True
 
+    def note(self, time_text: Callable[[int], str]) -> ViewNote | None:
+        """What lanes that are published now should say of the view."""
+        last = self.stretches[-1] if self.stretches else None
+        if last is None or not last.troubled:
+            return None
+        return ViewNote(last.held, last.first_ns, last.sentence(time_text, goes_on=True))
+
     def told(self) -> list[ViewStretch]:
         """The stretches that a person should know of."""
         return [stretch for stretch in self.stretches if stretch.told]
@@ -188,9 +206,12 @@ class ViewTimeline:
         last = self.stretches[-1]
         self.stretches[-1] = replace(last, last_ns=max(min(last.last_ns, end_ns), last.first_ns))
 
-    def _shift(self, look: ViewLook) -> tuple[float, float]:
-        if self._middle is None or look.state is not ViewState.MOVED:
-            return 0.0, 0.0
-        mapped = look.motion @ [*self._middle, 1.0]
-        right, down = (mapped[:2] / mapped[2] - self._middle).tolist()
-        return right, down
+
+def _shift(look: ViewLook) -> tuple[float, float]:
+    """By how many pixels the middle of the image lies to the right and down."""
+    if look.state is not ViewState.MOVED:
+        return 0.0, 0.0
+    middle = (np.array(look.size) - 1.0) / 2
+    mapped = look.motion @ [*middle, 1.0]
+    right, down = (mapped[:2] / mapped[2] - middle).tolist()
+    return right, down

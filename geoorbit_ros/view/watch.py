@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +20,10 @@ from geoorbit_ros.view.repeats import RepeatWatch
 PERIODS_S = (0.36, 0.46, 0.41)
 """Time between looks, in turn. Chosen: at 720p they take little more than 1 % of a core, and a bump
 is noticed within a second; with one period a sway of that frequency would look like none."""
-SHAKING_PERIOD_S = 0.08
-"""Time between looks at a camera that shakes. Chosen: a sway of 2 Hz is known between two of them
-to a tenth of its size; shorter takes more time."""
+SHAKING_PERIODS_S = (0.16, 0.24, 0.2)
+"""The same at a camera that shakes, where its swing says what is between them. Chosen: a swing of
+2 Hz that keeps its phase for a few seconds is known to a third of its size; shorter takes more
+time."""
 LOST_LOOKS = 2
 """So many looks without the view before its pixels are given up. Chosen: a lorry in front of the
 camera hides it for one; more lets wrong pixels through."""
@@ -96,8 +98,7 @@ class ViewWatch:
     def due(self, stamp_ns: int) -> bool:
         """Whether the image of this time should be looked at."""
         last = self._looked_ns
-        shaking = self._movement.shaking
-        period_s = SHAKING_PERIOD_S if shaking else PERIODS_S[self._turn]
+        period_s = (SHAKING_PERIODS_S if self._movement.shaking else PERIODS_S)[self._turn]
         return last is None or not 0 <= stamp_ns - last < 0.98 * period_s * 1e9
 
     def note(self, stamp_ns: int, data: bytes | memoryview) -> None:
@@ -126,10 +127,14 @@ class ViewWatch:
         if self._looked_ns is not None and stamp_ns <= self._looked_ns:
             self._restart()
         self._looked_ns, self._turn = stamp_ns, (self._turn + 1) % len(PERIODS_S)
-        if self._blindness is not Blindness.NONE:
-            self._last = self._blind(stamp_ns, self._blindness)
+        blindness = self._blindness
+        if self._repeats is not None and blindness is Blindness.NONE:
+            blindness = self._repeats.look(stamp_ns, picture)
+        if blindness is not Blindness.NONE:
+            self._last = self._blind(stamp_ns, blindness)
         else:
             self._last = self._held_against(stamp_ns, picture, reduction(size[0]))
+        self._last = replace(self._last, size=size)
         return self._last
 
     def _first(self, stamp_ns: int, picture: Grey) -> ViewLook:

@@ -13,7 +13,7 @@ from probe import LOSSLESS, Probe
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import NavSatFix
-from std_msgs.msg import String
+from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -24,12 +24,14 @@ from geoorbit_ros.calibration.homography import fit_homography
 from geoorbit_ros.conversions import datum_to_fix
 from geoorbit_ros.core.tables import TRACK_DTYPE
 from geoorbit_ros.lanes.estimators.estimator import make_estimator
-from geoorbit_ros.lanes.geojson import dumps_lanes
+from geoorbit_ros.lanes.geojson import dumps_lanes, parse_lane_file
 from geoorbit_ros.lanes.mapping.mapper import LaneMapper
 from geoorbit_ros.lanes.parameters import LaneParameters
 from geoorbit_ros.nodes.lane_geometry import LaneGeometryNode
 from geoorbit_ros.nodes.support.composition import Composition
 from geoorbit_ros.nodes.support.qos import LATCHED
+from geoorbit_ros.view.looks import Blindness, ViewLook, ViewState
+from geoorbit_ros.view.picture import shifted
 
 DATUM = Datum(43.05, -89.35)
 LANES = (1, 2, 3)
@@ -156,6 +158,56 @@ def test_markers_start_with_a_clean_slate_and_tell_every_lane(
     lines = [marker for marker in rest if marker.type == Marker.LINE_STRIP]
     assert len(lines) == 3 * len(LANES)
     assert all(len(marker.points) >= 2 for marker in lines)
+
+
+def test_lanes_that_the_image_does_not_show_are_held_and_say_since_when_and_why(
+    nodes: Composition, tracks: Tracks
+) -> None:
+    node, probe = start(nodes), Probe(nodes)
+    give_datum(probe, node)
+    texts, held = probe.listen("lanes/geojson", String), probe.listen("lanes/held", Bool)
+    arrays = probe.listen("lanes/markers", MarkerArray)
+    send_view = probe.table_publisher("view")
+    feed(node, probe, tracks)
+    update(probe)
+    probe.until(lambda: len(texts) == node.lane_maps, "all maps")
+    live, last_ns = texts[-1].data, tracks[-1][0]
+
+    def show(after_s: int, state: ViewState, sigma_px: float = 0.05, moved_px: float = 0.0) -> None:
+        stamp_ns, before = last_ns + after_s * 10**9, len(texts)
+        view = 0 if np.isfinite(sigma_px) else -1
+        motion, since_ns = shifted(moved_px, 0.0), last_ns + 3 * 10**9
+        blindness = Blindness.FROZEN if state is ViewState.BLIND else Blindness.NONE
+        look = ViewLook(
+            *(stamp_ns, state, view, motion, sigma_px, 0.0, moved_px, since_ns, blindness)
+        )
+        send_view(stamp_ns, look.row())
+        if after_s > 2:
+            probe.until(lambda: len(texts) > before, "a map that says so")
+
+    show(2, ViewState.STEADY)
+    show(5, ViewState.BLIND, np.inf)
+    about = json.loads(texts[-1].data)
+    assert about["geoorbit"]["held"] is True
+    assert about["geoorbit"]["view"]["since_ns"] == last_ns + 3 * 10**9
+    assert "frozen" in about["geoorbit"]["view"]["why"]
+    assert about["geoorbit"]["stamp_ns"] == last_ns, "the newest evidence is as old as before"
+    assert all(feature["properties"]["held"] for feature in about["features"])
+    assert held[-1].data
+    assert "held" in arrays[-1].markers[-1].text
+    assert node.diagnostic_values()["held"] is True
+    again = parse_lane_file(texts[-1].data, "the topic").lane_map
+    assert again.held
+    assert again.view is not None
+    assert again.view.since_ns == last_ns + 3 * 10**9
+    show(9, ViewState.MOVED, moved_px=14.0)
+    about = json.loads(texts[-1].data)
+    assert "held" not in about["geoorbit"]
+    assert about["geoorbit"]["view"]["held"] is False
+    assert "moved by 14 px" in about["geoorbit"]["view"]["why"]
+    assert not held[-1].data
+    show(12, ViewState.STEADY)
+    assert texts[-1].data == live, "as if nothing had been"
 
 
 def test_without_a_datum_there_are_lanes_but_no_geojson_until_it_comes(

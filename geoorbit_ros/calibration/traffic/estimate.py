@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,8 +47,10 @@ TILTS_DEG = (6.0, 12.0, 20.0, 30.0, 42.0)
 """Where the search begins: focal lengths in image widths, tilts below the horizontal."""
 BEST_STARTS = 5
 """How many of these are followed."""
-FIRST_STEPS, STEPS, ROUNDS = 8, 6, 4
+FIRST_STEPS, STEPS, ROUNDS = 8, 5, 3
 """Evaluations of the slope in the search, and after each time that neighbours are chosen."""
+SEARCHED = (FOCAL, TILT, ROLL, HEIGHT, ROOF)
+"""Parameters of the search: the fleet and the detector are taken for usual ones."""
 MAX_FOCAL_SIGMA, MAX_SCALE_SIGMA = 0.4, 0.25
 """Cameras less certain than this are refused. Chosen: lanes would be a quarter off."""
 MAX_MISFIT = 2.0
@@ -294,7 +297,7 @@ def _search(model: TrafficModel) -> Array:
             "tracks of vehicles on one flat road, in pixels of the image size given",
         )
     starts.sort(key=lambda start: start[0])
-    found = [_solve(model, x, FIRST_STEPS) for _, x in starts[:BEST_STARTS]]
+    found = [_solve(model, x, FIRST_STEPS, SEARCHED) for _, x in starts[:BEST_STARTS]]
     return np.array(min(found, key=lambda solution: solution.cost).x)
 
 
@@ -314,19 +317,33 @@ def _with_height(model: TrafficModel, x: Array) -> bool:
     return True
 
 
-def _solve(model: TrafficModel, x: Array, steps: int) -> scipy.optimize.OptimizeResult:
-    free = np.full(model.parameters - FEW, np.inf)
-    low, high = np.append(LOWEST, -free), np.append(HIGHEST, free)
-    return scipy.optimize.least_squares(
-        model.residuals,
-        np.clip(x, low + 1e-6, high - 1e-6),
-        x_scale=STEP[: model.parameters],
-        bounds=(low, high),
+def _solve(
+    model: TrafficModel, x: Array, steps: int, free: Sequence[int] | None = None
+) -> scipy.optimize.OptimizeResult:
+    """The best camera near `x`; only `free` parameters move, all if None."""
+    unbound = np.full(model.parameters - FEW, np.inf)
+    low, high = np.append(LOWEST, -unbound), np.append(HIGHEST, unbound)
+    which = list(range(model.parameters)) if free is None else list(free)
+    whole = np.clip(x, low + 1e-6, high - 1e-6)
+
+    def residuals(some: Array) -> Array:
+        at = whole.copy()
+        at[which] = some
+        return model.residuals(at)
+
+    solution = scipy.optimize.least_squares(
+        residuals,
+        whole[which],
+        x_scale=STEP[which],
+        bounds=(low[which], high[which]),
         diff_step=1e-5,
         ftol=1e-8,
         xtol=3e-4,
         max_nfev=steps,
     )
+    whole[which] = solution.x
+    solution.x = whole
+    return solution
 
 
 def _laid_on(points: KnownPoints, x: Array, image_size: tuple[int, int]) -> Array:

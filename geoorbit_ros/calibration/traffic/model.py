@@ -13,6 +13,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geoorbit_ros.calibration.traffic.boxes import PlacedBoxes, place_boxes
+from geoorbit_ros.calibration.traffic.image_directions import (
+    alike,
+    in_image,
+    metres_across,
+    on_road,
+    pixel_turn,
+    pixels_per_metre,
+    rough_angle,
+)
 from geoorbit_ros.calibration.traffic.parameters import (
     FEW,
     FOCAL,
@@ -35,9 +45,15 @@ from geoorbit_ros.calibration.traffic.paths import (
     find_neighbours,
     path_headings,
 )
+from geoorbit_ros.calibration.traffic.road_direction import Places, road_headings
 from geoorbit_ros.calibration.traffic.samples import TrafficSamples
-from geoorbit_ros.calibration.vehicle_fit import VehicleFit, fit_vehicles, on_plane
-from geoorbit_ros.calibration.vehicle_size import BUS, CAR, COVARIANCE, MEAN_M, PRECISION
+from geoorbit_ros.calibration.vehicle_fit import (
+    corners,
+    edges,
+    on_plane,
+    vehicle_axes,
+)
+from geoorbit_ros.calibration.vehicle_size import BUS, CAR, MEAN_M, PRECISION
 
 Array = NDArray[np.float64]
 
@@ -49,8 +65,6 @@ same for a second: places that are nearer in time have more of it each, so that 
 as independent."""
 PATH_SIGMA_PX, PATH_SIGMA_RATIO = 0.6, 0.02
 """The same of the middle of a box across the way."""
-POSITION_PRIOR = 0.15
-"""Share of a size's variance within its class that is left when positions are taken."""
 START_LOSS, LOSS = 1.5, 2.5
 """Sigma beyond which a box counts less, while looking for the camera (pseudo-Huber) and in the end
 (Cauchy): tracks that change vehicles are far off."""
@@ -60,6 +74,9 @@ them together in the same places. Chosen on some twenty simulated cameras, for t
 lie within two of its sigma in 95 %; larger claims too much, smaller lets the priors decide."""
 SIZE_BOUNDS = 0.4, 2.8
 """Sizes stay between these shares of the usual one: a pickup is a truck of half the length."""
+LEAST_TURN_RAD = np.radians(0.2)
+"""1-sigma by which a direction that many vehicles share is wrong all the same: roads are bent in
+other ways than the regression allows."""
 OFFSET = 1e3
 """Added to the logarithm of a vehicle's determinant, so that its root exists."""
 BEYOND = 6.0
@@ -79,7 +96,7 @@ class Explained:
         information: (3, 3, K) about each size, its prior included.
     """
 
-    fit: VehicleFit
+    fit: PlacedBoxes
     headings: Headings
     own_headings: Headings
     size_m: Array
@@ -104,6 +121,7 @@ class TrafficModel:
         noise: What the sides' errors are multiplied with.
         misfit: How far boxes are off the camera that was settled last, over their usual errors.
         robust: Cauchy's loss in place of the milder one.
+        focal_px: The focal length, where it is known.
     """
 
     def __init__(
@@ -114,22 +132,20 @@ class TrafficModel:
         focal_px: float | None = None,
     ) -> None:
         self.samples, self.image_size = samples, image_size
-        self.points, self._focal_px = points, focal_px
+        self.points, self.focal_px = points, focal_px
         low, high = samples.edges[:2], samples.edges[2:]
         self.centre, self.side = (low + high) / 2, high - low
         self.vehicle, self.group = samples.vehicle, samples.group
         self.first = np.flatnonzero(np.diff(self.vehicle, prepend=-1))
-        lasts = np.maximum.reduceat(samples.time_s, self.first) - samples.time_s[self.first]
-        spacing = lasts / np.maximum(np.bincount(self.vehicle) - 1, 1)
-        slow = np.maximum(1.0, CORRELATION_S / np.maximum(spacing, 0.05))[self.vehicle]
+        slow = alike(self.vehicle, samples.time_s, CORRELATION_S)
         self.sigma = np.sqrt(SIDE_SIGMA_PX**2 + SIDE_SIGMA_RATIO**2 * slow * self.side**2)
         across = PATH_SIGMA_RATIO**2 * slow * self.side.max(axis=0) ** 2
         self._path_sigma = np.sqrt(PATH_SIGMA_PX**2 + across)
         self._size = np.ones((3, len(self.group)))
         self._unit = float(np.log(10.0))
-        self._near: Neighbours | None = None
         self._aside: Neighbours | None = None
         self._aside_sigma: Array = np.ones(0)
+        self._turned: Array = np.zeros_like(self.side)
         self._directions: tuple[Array, ...] | None = None
         self._settled: Headings | None = None
         self._mean, self._prior_size = (
@@ -155,26 +171,17 @@ class TrafficModel:
         """Positions, headings and sizes of all vehicles for a camera."""
         matrix, usual = projection_matrix(x, self.image_size), self.usual_size(x)
         size = self._size * usual if size_m is None else size_m
-        spread = POSITION_PRIOR * COVARIANCE[self.group].transpose(1, 2, 0)
         relative = self._mean / usual
         prior = self._prior_size * relative[:, None] * relative
         xy = on_plane(matrix, self.centre, size[2][self.vehicle] / 2)[0]
         roof = x[ROOF] * np.where(self.group < BUS, 1.0, ROOF_OF_LARGE)[self.vehicle]
-        sigma = self.sigma * self.noise
+        sigma = np.hypot(self.sigma * self.noise, self._turned)
         for _ in range(steps):
             own, headings = self._headings(matrix, x, xy)
-            with np.errstate(all="ignore"):
-                fit = fit_vehicles(
-                    matrix,
-                    self.centre,
-                    self.side,
-                    headings.angle,
-                    size[:, self.vehicle],
-                    spread[:, :, self.vehicle],
-                )
+            fit = place_boxes(matrix, self.centre, headings.angle, size[:, self.vehicle])
             slope, predicted = fit.side_slope.copy(), fit.side_px + x[MARGIN][:, None]
-            predicted[1] -= roof * slope[1, 0] * size[0][self.vehicle]
-            slope[1, 0] *= 1.0 - roof
+            predicted[1] -= roof * fit.by_length * size[0][self.vehicle]
+            slope[1, 0] -= roof * fit.by_length
             slope /= sigma[:, None]
             residual = (self.side - predicted) / sigma
             new = self._sizes(residual, slope, fit.good, size, usual, prior)
@@ -217,15 +224,15 @@ class TrafficModel:
         """Of each vehicle alone, and shared with its neighbours."""
         zoom = np.exp(self._unit - x[HEIGHT])
         if self._directions is not None and self._settled is not None:
-            slope = _pixels_per_metre(matrix, xy)
-            alone, shared = (_on_road(slope, shown) for shown in self._directions)
+            slope = pixels_per_metre(matrix, xy)
+            alone, shared = (on_road(slope, shown) for shown in self._directions)
             variance, bend = self._settled.variance, self._settled.curvature
             return Headings(alone, variance, bend), Headings(shared, variance, bend)
         xy = xy * zoom
         depth = np.maximum(matrix[2, :2] @ np.nan_to_num(xy) + matrix[2, 3] * zoom, 0.5)
         noise = self._path_sigma * depth / (np.exp(x[FOCAL]) * self.image_size[0])
         own = path_headings(xy, noise, self.vehicle)
-        return own, own if self._near is None else self._near.share(xy, own)
+        return own, own
 
     def settle(self, x: Array) -> None:
         """Take a camera for nearly right: neighbours, ways, sizes and noise are as it shows them.
@@ -233,34 +240,58 @@ class TrafficModel:
         From then on the ways' directions in the image are given. Smoothed anew for every camera,
         they would favour one that shortens the road, where less of their noise is left.
         """
-        self._unit, self._near, self._aside = float(x[HEIGHT]), None, None
-        self._directions = None
+        self._unit, self._aside = float(x[HEIGHT]), None
         found = self.explain(x, 4)
         good = found.fit.good
-        headings = found.own_headings
-        self._near, self._aside = find_neighbours(found.fit.xy, headings, self.vehicle, good)
+        road, own = self._way_headings(x, found)
+        self._aside = find_neighbours(found.fit.xy, road, self.vehicle, good)
         here, there = self._aside.here, self._aside.there
-        variance = PARALLEL_SIGMA_RAD**2 + headings.variance[here] + headings.variance[there]
-        self._aside_sigma = np.sqrt(variance) * self._pixel_turn(x, found)[here]
+        variance = PARALLEL_SIGMA_RAD**2 + road.variance[here] + road.variance[there]
+        slope = pixels_per_metre(projection_matrix(x, self.image_size), found.fit.xy)
+        self._settled = road
+        self._directions = tuple(in_image(slope, turned.angle) for turned in (road, own))
+        self._turned = self._side_turn(x, found) * np.hypot(np.sqrt(own.variance), LEAST_TURN_RAD)
         found = self.explain(x, 4)
-        slope = _pixels_per_metre(projection_matrix(x, self.image_size), found.fit.xy)
-        self._settled = found.own_headings
-        self._directions = tuple(
-            slope[:, 0] * np.cos(turned.angle) + slope[:, 1] * np.sin(turned.angle)
-            for turned in (found.own_headings, found.headings)
-        )
+        self._aside_sigma = np.sqrt(variance) * self._pixel_turn(x, found)[here]
         self._size = found.size_m / self.usual_size(x)
         middle = float(np.median(np.abs(found.residual[:, good]))) / 0.6745
         self.misfit = self.noise * middle
         self.noise = float(np.clip(1.1 * self.misfit, 0.4, 2.0))
 
+    def _way_headings(self, x: Array, found: Explained) -> tuple[Headings, Headings]:
+        """Directions of the road and of the vehicles at the boxes, from all ways."""
+        matrix, samples = projection_matrix(x, self.image_size), self.samples
+        whose = samples.way_vehicle
+        low, high = samples.way_edges[:2], samples.way_edges[2:]
+        centre, side = (low + high) / 2, high - low
+        size = found.size_m[:, whose]
+        rough = rough_angle(on_plane(matrix, centre, size[2] / 2)[0], whose)
+        fit = place_boxes(matrix, centre, rough, size)
+        xy = np.where(fit.good, fit.xy, np.nan)
+        slow = alike(whose, samples.way_time_s, CORRELATION_S)
+        noise = np.sqrt(PATH_SIGMA_PX**2 + PATH_SIGMA_RATIO**2 * slow * side.max(axis=0) ** 2)
+        noise = noise * metres_across(pixels_per_metre(matrix, fit.xy), rough)
+        places = Places(xy, whose, samples.way_time_s, rough, noise)
+        slope = pixels_per_metre(matrix, found.fit.xy)
+        at = self._path_sigma * metres_across(slope, found.headings.angle)
+        return road_headings(places, found.fit.xy, self.vehicle, found.headings.angle, at)
+
+    def _side_turn(self, x: Array, found: Explained) -> Array:
+        """(2, N) how much the sides of the boxes change when a vehicle turns, pixels per radian."""
+        matrix, small = projection_matrix(x, self.image_size), 0.01
+        size = found.size_m[:, self.vehicle]
+        sides = []
+        for turn in (-small, small):
+            unit = vehicle_axes(matrix, found.headings.angle + turn)
+            edge = edges(corners(matrix, found.fit.xy, unit * size[:, None])[0])
+            sides.append(edge[2:] - edge[:2])
+        slope = np.abs(sides[1] - sides[0]) / (2.0 * small)
+        return np.asarray(np.where(found.fit.good & np.isfinite(slope), slope, 0.0))
+
     def _pixel_turn(self, x: Array, found: Explained) -> Array:
         """(N,) how much a way turns in the image when it turns on the road."""
-        slope = _pixels_per_metre(projection_matrix(x, self.image_size), found.fit.xy)
-        angle = found.own_headings.angle
-        ahead = slope[:, 0] * np.cos(angle) + slope[:, 1] * np.sin(angle)
-        area = slope[0, 0] * slope[1, 1] - slope[0, 1] * slope[1, 0]
-        return np.asarray(np.abs(area) / ((ahead**2).sum(axis=0) + 1e-12))
+        slope = pixels_per_metre(projection_matrix(x, self.image_size), found.fit.xy)
+        return pixel_turn(slope, found.own_headings.angle)
 
     def residuals(self, x: Array) -> Array:
         """Everything, in sigma, robust losses applied: half the sum of squares is to be least.
@@ -285,7 +316,7 @@ class TrafficModel:
             self._weight * sizes.ravel(),
             self._weight * np.sqrt(np.maximum(OFFSET + spread, 0.0)),
             self._parallel(x, found),
-            prior_residuals(x, self.image_size[0], self._focal_px),
+            prior_residuals(x, self.image_size[0], self.focal_px),
             self.known_points(x),
         ]
         whole = np.concatenate(parts)
@@ -321,22 +352,6 @@ class TrafficModel:
         off = (uv - points.pixel.T) / np.hypot(points.sigma_px, ground)
         # Behind the camera every error on the ground would excuse any pixel.
         return np.asarray(np.where(uvw[2] > LEAST_DEPTH_M, off, UNSEEN).ravel())
-
-
-def _pixels_per_metre(matrix: Array, xy: Array) -> Array:
-    """(2, 2, N) slopes of pixels (first axis) with positions (second) on the road."""
-    with np.errstate(all="ignore"):
-        uvw = matrix[:, :2] @ xy + matrix[:, 3:]
-        uv = uvw[:2] / uvw[2]
-        return np.asarray((matrix[:2, :2, None] - uv[:, None] * matrix[2, :2, None]) / uvw[2])
-
-
-def _on_road(slope: Array, shown: Array) -> Array:
-    """(N,) angle on the road of ways (2, N) in the image."""
-    x = slope[1, 1] * shown[0] - slope[0, 1] * shown[1]
-    y = slope[0, 0] * shown[1] - slope[1, 0] * shown[0]
-    area = slope[0, 0] * slope[1, 1] - slope[0, 1] * slope[1, 0]
-    return np.asarray(np.arctan2(np.sign(area) * y, np.sign(area) * x))
 
 
 def _pseudo_huber(residual: Array) -> Array:

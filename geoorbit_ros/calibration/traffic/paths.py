@@ -20,15 +20,6 @@ of boxes, smaller cuts bends."""
 FACTORIAL = (2.0, 6.0, 24.0, 120.0)
 TERMS = 6
 """Of each path's polynomial."""
-LANE_SIGMA_RAD = np.radians(0.6)
-"""1-sigma of the angle between vehicles side by side: habits, and changes of lane. Chosen: larger
-lets each box's noise turn its vehicle, smaller turns those who change lanes."""
-OTHER_ROAD_RAD = np.radians(2.5)
-"""Neighbours that differ by more count less and less: they are on another road."""
-BEND_SIGMA = 1 / 1500
-"""1-sigma of a curvature in 1/m with which a neighbour ahead is compared."""
-POOL_M, POOL_COUNT, POOL_RAD = 20.0, 10, 0.3
-"""Neighbours with whom a heading is shared: so far, so many, so near in direction."""
 PAIR_RAD = np.radians(20.0)
 """Vehicles that head so differently are on different roads."""
 PAIR_AHEAD, PAIR_ASIDE_M = (5.0, 0.05), (1.5, 60.0)
@@ -121,42 +112,23 @@ class Neighbours:
         turn -= ahead * 0.5 * (bend[self.here] + same * bend[self.there])
         return (turn + np.pi / 2) % np.pi - np.pi / 2, ahead
 
-    def share(self, xy: Array, headings: Headings) -> Headings:
-        """Headings that lean towards those of the neighbours."""
-        count = len(headings.angle)
-        turn, ahead = self.difference(xy, headings)
-        variance = headings.variance[self.there] + LANE_SIGMA_RAD**2 + (ahead * BEND_SIGMA) ** 2
-        weight = 1.0 / variance / (1.0 + (turn / OTHER_ROAD_RAD) ** 2)
-        known = np.isfinite(weight) & np.isfinite(turn)
-        weight, turn = np.where(known, weight, 0.0), np.where(known, turn, 0.0)
-        total = np.bincount(self.here, weight, count)
-        mean = np.bincount(self.here, weight * turn, count) / np.maximum(total, 1e-9)
-        theirs = 1.0 / (1.0 / np.maximum(total, 1e-9) + LANE_SIGMA_RAD**2)
-        own = 1.0 / (headings.variance + 1e-8)
-        angle = headings.angle + np.clip(mean, -POOL_RAD, POOL_RAD) * theirs / (own + theirs)
-        return Headings(angle, 1.0 / (own + theirs), headings.curvature)
-
 
 def find_neighbours(
     xy: Array, headings: Headings, vehicle: NDArray[np.intp], good: NDArray[np.bool_]
-) -> tuple[Neighbours, Neighbours]:
-    """Whom each place shares its heading with, and whom it is compared with across the road."""
-    random, near, aside = np.random.default_rng(0), [], []
+) -> Neighbours:
+    """Whom each place is compared with across the road."""
+    random, pairs = np.random.default_rng(0), []
     cos, sin = np.cos(headings.angle), np.sin(headings.angle)
     for k in np.flatnonzero(good):
         off = xy - xy[:, k : k + 1]
         ahead = np.abs(off[0] * cos[k] + off[1] * sin[k])
         across = np.abs(off[1] * cos[k] - off[0] * sin[k])
         turn = np.abs((headings.angle - headings.angle[k] + np.pi / 2) % np.pi - np.pi / 2)
-        other = good & (vehicle != vehicle[k])
-        away = ahead + 0.7 * across
-        close = np.flatnonzero(other & (away < POOL_M) & (turn < POOL_RAD))
-        near += [(k, n) for n in close[np.argsort(away[close], kind="stable")][:POOL_COUNT]]
-        beside = other & (ahead < PAIR_AHEAD[0] + PAIR_AHEAD[1] * across) & (turn < PAIR_RAD)
+        beside = good & (vehicle != vehicle[k]) & (turn < PAIR_RAD)
+        beside &= ahead < PAIR_AHEAD[0] + PAIR_AHEAD[1] * across
         beside &= (across > PAIR_ASIDE_M[0]) & (across < PAIR_ASIDE_M[1])
         some = np.flatnonzero(beside)
         if len(some):
             chosen = random.choice(some, min(PAIRS, len(some)), replace=False)
-            aside += [(k, n) for n in chosen]
-    pairs = [np.array(found, dtype=np.intp).reshape(-1, 2).T for found in (near, aside)]
-    return Neighbours(*pairs[0]), Neighbours(*pairs[1])
+            pairs += [(k, n) for n in chosen]
+    return Neighbours(*np.array(pairs, dtype=np.intp).reshape(-1, 2).T)

@@ -28,6 +28,9 @@ SPACING_S = 0.24
 WINDOW_S = 0.3
 """A place's box is a smooth curve's, through the boxes of this time before and after. Chosen:
 longer flattens boxes that grow fast, shorter keeps more of their noise."""
+WAY_STEP, WAY_STEP_S, WAY_POINTS = 0.2, 0.12, 60
+"""Between two boxes of a vehicle's way: at least so many sizes of its box and seconds, and so many
+boxes at most. Chosen: more say the same again, fewer lose where a bend begins."""
 MIN_BOXES = 4
 """Vehicles with fewer good boxes are left out: no curve goes through less."""
 MIN_WAY = 1.5
@@ -50,6 +53,9 @@ class TrafficSamples:
         edges: (4, N) left, top, right, bottom; ideal pixels where a lens is known.
         vehicles_seen: How many tracks of vehicles there were, usable or not.
         ground_points: Share of the rows that are ground points, without width and height.
+        way_vehicle: (M,) of boxes along the ways, more of them and as they were seen.
+        way_time_s: (M,) of these.
+        way_edges: (4, M) of these.
     """
 
     vehicle: NDArray[np.intp]
@@ -58,12 +64,16 @@ class TrafficSamples:
     edges: Array
     vehicles_seen: int
     ground_points: float
+    way_vehicle: NDArray[np.intp]
+    way_time_s: Array
+    way_edges: Array
 
     def take(self, vehicles: NDArray[np.intp]) -> TrafficSamples:
         """Those of some vehicles, renumbered in their old order."""
         kept = np.isin(self.vehicle, vehicles)
         number = np.unique(self.vehicle[kept], return_inverse=True)[1]
         group = self.group[np.unique(self.vehicle[kept])]
+        way = np.isin(self.way_vehicle, vehicles)
         return TrafficSamples(
             number,
             group,
@@ -71,6 +81,9 @@ class TrafficSamples:
             self.edges[:, kept],
             self.vehicles_seen,
             self.ground_points,
+            np.unique(self.way_vehicle[way], return_inverse=True)[1],
+            self.way_time_s[way],
+            self.way_edges[:, way],
         )
 
 
@@ -94,6 +107,7 @@ def sample_traffic(
     order = np.argsort(rows["track_id"], kind="stable")
     parts = np.split(order, np.flatnonzero(np.diff(rows["track_id"][order])) + 1)
     found: list[Array] = []
+    ways: list[Array] = []
     groups: list[int] = []
     for part in parts:
         use = part[good[part]]
@@ -103,8 +117,11 @@ def sample_traffic(
         if len(places) >= 2:
             votes = np.bincount(GROUP[rows["class_id"][use] & 255], rows["score"][use] + 1e-3)
             found.append(np.column_stack((np.full(len(places), len(groups)), places)))
+            way = use[_along_way(time_s[use], ideal[:, use])]
+            number = np.full(len(way), len(groups))
+            ways.append(np.column_stack((number, time_s[way], ideal[:, way].T)))
             groups.append(int(votes.argmax()))
-    table = np.concatenate([np.empty((0, 6)), *found])
+    table, boxes = (np.concatenate([np.empty((0, 6)), *rows]) for rows in (found, ways))
     points = (rows["flags"] & FLAG_GROUND_POINT) != 0
     return TrafficSamples(
         table[:, 0].astype(np.intp),
@@ -113,7 +130,21 @@ def sample_traffic(
         table[:, 2:].T,
         len(np.unique(rows["track_id"][vehicle])),
         float(points.mean()) if len(points) else 0.0,
+        boxes[:, 0].astype(np.intp),
+        boxes[:, 1],
+        boxes[:, 2:].T,
     )
+
+
+def _along_way(time_s: Array, edges: Array) -> NDArray[np.intp]:
+    """Which boxes of a vehicle are far enough from each other, by way and by time."""
+    centre = (edges[:2] + edges[2:]) / 2
+    size = np.sqrt((edges[2:] - edges[:2]).prod(axis=0))
+    step = np.hypot(*np.diff(centre)) / (0.5 * (size[1:] + size[:-1])) / WAY_STEP
+    every = np.minimum(step, np.diff(time_s) / WAY_STEP_S)
+    gone = np.append(0.0, np.cumsum(every))
+    stride = max(1.0, gone[-1] / WAY_POINTS)
+    return np.flatnonzero(np.diff(np.floor(gone / stride), prepend=-1.0) > 0)
 
 
 def whole(frames: Frames, edges: Array, image_size: tuple[int, int]) -> NDArray[np.bool_]:

@@ -7,7 +7,7 @@ from typing import Any
 from geometry_msgs.msg import PoseArray
 from nav_msgs.msg import Path
 from rclpy.publisher import Publisher
-from std_msgs.msg import String
+from std_msgs.msg import Bool, String
 from visualization_msgs.msg import MarkerArray
 
 from geoorbit_ros.calibration.datum import Datum
@@ -28,8 +28,9 @@ from geoorbit_ros.nodes.support.qos import LATCHED
 class LanePublisher:
     """Topics `lanes`, `lanes/lane_<k>/{centerline,left,right}`, `lanes/markers`, `lanes/geojson`.
 
-    All are latched. `lanes` has one pose per lane that has paths: confirmed lanes, and the
-    tentative ones too if asked for. Markers and GeoJSON always have both and tell them apart.
+    `lanes/held` says whether they are those of an earlier time. All are latched. `lanes` has one
+    pose per lane that has paths: confirmed lanes, and the tentative ones too if asked for. Markers
+    and GeoJSON always have both and tell them apart.
 
     Args:
         node: Publishes; its namespace is the camera's name in the GeoJSON.
@@ -51,6 +52,7 @@ class LanePublisher:
         self._poses = node.create_publisher(PoseArray, "lanes", LATCHED)
         self._markers = node.create_publisher(MarkerArray, "lanes/markers", LATCHED)
         self._geojson = node.create_publisher(String, "lanes/geojson", LATCHED)
+        self._held = node.create_publisher(Bool, "lanes/held", LATCHED)
         self._paths: dict[int, dict[str, Publisher]] = {}
         self._leaving: list[Publisher] = []
 
@@ -61,6 +63,7 @@ class LanePublisher:
         self._retire({lane.lane_id for lane in lanes}, stamp_ns)
         for lane in lanes:
             self._publish_paths(lane, stamp_ns)
+        self._held.publish(Bool(data=lane_map.held))
         self._poses.publish(encode_pose_array(stamp_ns, frame_id, *lane_poses(lanes)))
         self._markers.publish(lane_markers(lane_map, frame_id))
         if datum is None:

@@ -8,20 +8,21 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from sensor_msgs.msg import CompressedImage, PointCloud2
+from sensor_msgs.msg import CompressedImage
 from std_msgs.msg import Float64MultiArray
 
 from geoorbit_ros.calibration.plane import RoadPlane
-from geoorbit_ros.conversions import decode_table, encode_png, plane_of
-from geoorbit_ros.core.errors import GeoOrbitError, MessageError
+from geoorbit_ros.conversions import encode_png, plane_of
+from geoorbit_ros.core.errors import MessageError
 from geoorbit_ros.core.lanes import LaneMap
 from geoorbit_ros.markings.fusion import RoadPaint
 from geoorbit_ros.markings.road_image import SPACING_S, RoadBackground
 from geoorbit_ros.nodes.support.base import GeoOrbitNode
 from geoorbit_ros.nodes.support.qos import LATCHED, LOOKS
+from geoorbit_ros.nodes.support.view_listener import listen_to_views
 from geoorbit_ros.storage.image_cdr import decode_compressed_image
 from geoorbit_ros.view.compensation import ViewMotions, image_in_reference
-from geoorbit_ros.view.looks import VIEW_DTYPE, ViewLook, look_of
+from geoorbit_ros.view.looks import ViewLook
 
 TOPIC, PLANE_TOPIC = "road_image/compressed", "road_plane"
 FIRST_S = 30.0
@@ -44,8 +45,7 @@ class RoadImagePublisher:
         self.published = 0
         self._looks: deque[ViewLook] = deque(maxlen=LOOKS.depth)
         self._motions: ViewMotions | None = None
-        self._view_topic = node.resolve_topic_name("view")
-        node.create_subscription(PointCloud2, "view", self._on_view, LOOKS, raw=True)
+        listen_to_views(node, self._looks.append)
         self.restart()
 
     def restart(self) -> None:
@@ -77,13 +77,6 @@ class RoadImagePublisher:
         arguments = (stamp_ns, frame_id, background)
         self._work = threading.Thread(target=self._publish, args=arguments, name="road image")
         self._work.start()
-
-    def _on_view(self, cdr: bytes) -> None:
-        try:
-            stamp_ns, _, rows = decode_table(cdr, VIEW_DTYPE, self._view_topic)
-            self._looks.append(look_of(stamp_ns, rows, self._view_topic))
-        except GeoOrbitError as error:
-            self._node.diagnostics.refuse(error)
 
     def _in_reference(self, stamp_ns: int, image: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
         """The image as the reference view shows it; None where it does not show that view."""
@@ -125,6 +118,11 @@ class PaintListener:
         self.images = 0
         node.create_subscription(Float64MultiArray, PLANE_TOPIC, self._on_plane, LATCHED)
         node.create_subscription(CompressedImage, TOPIC, self._on_image, LATCHED, raw=True)
+
+    @property
+    def plane(self) -> RoadPlane | None:
+        """The camera's road plane, once it has come."""
+        return None if self._plane is None else self._plane[0]
 
     @property
     def sentence(self) -> str:

@@ -9,6 +9,7 @@ bytes per row of 48, where a SQLite row per vehicle takes 112.
 from __future__ import annotations
 
 import json
+import os
 import sqlite3
 import zlib
 from collections.abc import Iterator, Sequence
@@ -216,7 +217,7 @@ def connect(
         raise InputFileError(str(path), "no such file", "a trajectory database")
     with faults_as_sentences(path):
         connection = sqlite3.connect(
-            f"{path.absolute().as_uri()}?mode={'ro' if read_only else 'rwc'}",
+            f"{path.absolute().as_uri()}?mode={_mode(path, read_only=read_only)}",
             uri=True,
             timeout=BUSY_TIMEOUT_S,
             isolation_level=None,
@@ -231,6 +232,22 @@ def connect(
             connection.close()
             raise
     return connection
+
+
+def _mode(path: Path, *, read_only: bool) -> str:
+    """How SQLite opens the file.
+
+    Readers share memory with writers in a file beside it. Where none can be made (a read-only disk,
+    another user's folder) and nothing waits in the write-ahead log, nobody writes either, and the
+    file is read as it is (https://sqlite.org/wal.html, "Read-Only Databases").
+    """
+    if not read_only:
+        return "rwc"
+    log, shared = (path.with_name(path.name + end) for end in ("-wal", "-shm"))
+    waiting = log.exists() and log.stat().st_size > 0
+    if os.access(path.absolute().parent, os.W_OK) or waiting or shared.exists():
+        return "ro"
+    return "ro&immutable=1"
 
 
 def _value(connection: sqlite3.Connection, pragma: str) -> int:

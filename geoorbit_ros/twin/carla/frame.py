@@ -33,12 +33,16 @@ class CarlaPose:
 
 @dataclass(frozen=True, slots=True)
 class CarlaCamera:
-    """A camera in CARLA's terms: pose, size of its images, horizontal field of view."""
+    """A camera in CARLA's terms: pose, size of its images, horizontal field of view.
+
+    `left_out` says what of the real camera its images don't have; empty for nothing.
+    """
 
     name: str
     pose: CarlaPose
     image_size: tuple[int, int]
     fov_deg: float
+    left_out: str = ""
 
 
 def read_opendrive(path: str | Path) -> tuple[str, Datum]:
@@ -93,6 +97,12 @@ def camera_pose(
     below = np.cross(forward, level)
     roll = math.atan2(float(right @ below), float(right @ level))
     x, y = pose.position_m[:2] + origin_m
+    left_out = ""
+    if pose.lens is not None and not pose.lens.straight:
+        left_out = (
+            f"{name}: CARLA's images are those of a pinhole; the lens (k1 = {pose.lens.k1:.3f}) is "
+            "left out, so that pixels differ from the real camera's away from the image's middle"
+        )
     return CarlaCamera(
         name,
         CarlaPose(
@@ -105,4 +115,5 @@ def camera_pose(
         ),
         image_size,
         math.degrees(2.0 * math.atan(0.5 * image_size[0] / pose.focal_px)),
+        left_out,
     )

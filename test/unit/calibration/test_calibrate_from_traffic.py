@@ -14,7 +14,9 @@ from geoorbit_ros.calibration.box_projector import BoxProjector
 from geoorbit_ros.calibration.control_point_file import read_control_points
 from geoorbit_ros.calibration.control_point_writer import write_control_points
 from geoorbit_ros.calibration.homography import fit_homography
+from geoorbit_ros.calibration.lens import Lens
 from geoorbit_ros.calibration.traffic.control_grid import control_grid, scale_sigma
+from geoorbit_ros.calibration.traffic.doubts import doubts, scale_sigmas
 from geoorbit_ros.calibration.traffic.estimate import TrafficCalibration, calibrate_from_traffic
 from geoorbit_ros.calibration.traffic.parameters import (
     FEW,
@@ -233,3 +235,45 @@ def test_known_points_that_contradict_the_traffic_are_refused() -> None:
     away = replace(true, local_m=local + np.array([[0.0, 0.0], [200.0, 0.0]]))
     with pytest.raises(CalibrationError, match=r"known points|times their usual errors|bounds"):
         calibrate_from_traffic(traffic(), SIZE, points=away, find_lens=False)
+
+
+@lru_cache
+def calibrated_with(focal_ratio: float) -> TrafficCalibration:
+    focal = focal_ratio * 0.9 * SIZE[0]
+    lens = Lens(focal, focal, SIZE[0] / 2, SIZE[1] / 2, SIZE, focal_known=True)
+    return calibrate_from_traffic(traffic(), SIZE, lens=lens)
+
+
+def test_a_focal_length_that_boxes_contradict_is_doubted_and_a_good_one_is_not() -> None:
+    assert not any("focal length" in said for said in doubts(calibrated_with(1.0)))
+    assert any("the given focal length" in said for said in doubts(calibrated_with(2.0)))
+
+
+def test_a_focal_length_of_ten_times_is_not_believed() -> None:
+    try:
+        said = doubts(calibrated_with(10.0))
+    except CalibrationError:
+        return
+    assert any("the given focal length" in sentence for sentence in said)
+
+
+def test_a_known_focal_length_makes_distances_along_the_road_surer() -> None:
+    along, across = scale_sigmas(calibrated_with(1.0))
+    assert 0.02 < along < scale_sigmas(calibrated())[0]
+    assert 0.02 < across < 0.1, "the fleet's mean is not known better"
+
+
+def test_cars_that_are_called_buses_are_told() -> None:
+    buses = changed(class_id=np.full(len(traffic().rows), 5.0))
+    try:
+        said = doubts(calibrate_from_traffic(buses, SIZE, find_lens=False))
+    except CalibrationError:
+        return
+    assert any("called buses" in sentence for sentence in said)
+
+
+def test_the_axis_of_a_cut_image_is_told() -> None:
+    focal = 0.9 * SIZE[0]
+    lens = Lens(focal, focal, SIZE[0] / 2 + 200.0, SIZE[1] / 2, SIZE, focal_known=True)
+    found = replace(calibrated(), lens=lens)
+    assert any("200 px from the image's middle" in said for said in doubts(found))

@@ -38,7 +38,8 @@ def paths(
 def test_vehicles_on_a_straight_road_show_the_lens(k1: float) -> None:
     estimate = estimate_lens_from_paths(paths(k1), SIZE)
     assert estimate.lens is not None
-    assert estimate.lens == unit_lens(SIZE, estimate.k1)
+    assert estimate.lens == unit_lens(SIZE, estimate.k1 + estimate.k1_sigma)
+    assert estimate.k1 < estimate.lens.k1 < 0.0, "nearer to none by what it may be wrong"
     assert abs(estimate.k1 - k1 * TO_UNIT) < 3.5 * estimate.k1_sigma
     assert estimate.k1_sigma < 0.03
 

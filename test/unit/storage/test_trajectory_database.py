@@ -281,6 +281,21 @@ def test_a_migration_happens_whole_or_not(tmp_path: Path) -> None:
         assert_same(reader.read("a"), FRAMES)
 
 
+def test_a_database_in_a_folder_that_cannot_be_written_to_is_read(
+    stored: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Readers share memory in a file beside it, which can't be made there."""
+    with TrajectoryReader(stored) as reader:
+        expected = reader.cameras()
+    alone = tmp_path / "alone.db"
+    alone.write_bytes(stored.read_bytes())
+    beside = [alone.with_name(alone.name + end) for end in ("-wal", "-shm")]
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    with TrajectoryReader(alone) as reader:
+        assert reader.cameras() == expected
+        assert not any(file.exists() for file in beside), "nothing was made"
+
+
 def test_what_is_no_trajectory_database(tmp_path: Path) -> None:
     (tmp_path / "text.db").write_text("id,time,frame_num\n" * 100)
     other = sqlite3.connect(tmp_path / "other.db")

@@ -1,6 +1,8 @@
 """Pixels of a moved image lie where the calibrated view has them; unsure times are left out."""
 
+import itertools
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -12,6 +14,9 @@ from geoorbit_ros.view.compensation import ViewMotions, boxes_in_reference, imag
 from geoorbit_ros.view.looks import VIEW_DTYPE, Blindness, ViewLook, ViewState, look_of
 from geoorbit_ros.view.picture import shifted
 from geoorbit_ros.view.timeline import ViewTimeline
+from geoorbit_ros.view.watch import SHAKING_PERIODS_S
+
+Array = NDArray[np.float64]
 
 SIZE = (1280, 720)
 SECOND = 10**9
@@ -83,17 +88,62 @@ def test_between_two_looks_a_shaking_camera_is_on_its_way() -> None:
     assert not found.must_wait(round(1.15 * SECOND), round(1.9 * SECOND))
 
 
-def test_a_sway_of_two_hertz_is_known_between_the_looks() -> None:
-    def swing(time_s: float) -> float:
-        return 5.6 * math.sin(4.0 * math.pi * time_s)
+def looked_at(swing: Callable[[float], float], until_s: float) -> ViewMotions:
+    """A camera that shakes, looked at as the watch does, with the error of its looks."""
+    rng = np.random.default_rng(3)
+    periods = itertools.cycle(SHAKING_PERIODS_S)
+    times = [1.0]
+    while times[-1] < until_s:
+        times.append(times[-1] + next(periods))
+    shaking = ViewState.SHAKING
+    return motions(*(look(t, swing(t) + rng.normal(0.0, 0.1), shaking, sway_px=4.0) for t in times))
 
-    looks = [look(0.08 * k, swing(0.08 * k), ViewState.SHAKING, sway_px=4.0) for k in range(1, 30)]
-    found = motions(*looks)
-    times = np.arange(0.5, 2.0, 0.013).tolist()
-    off = np.array([right_at(found, time_s) - swing(time_s) for time_s in times])
-    assert np.abs(off).max() < 0.15
-    sigma = [found.at(round(time_s * SECOND)).sigma_px for time_s in times]
-    assert max(sigma) < 0.3
+
+def errors(
+    found: ViewMotions, swing: Callable[[float], float], times_s: Array
+) -> tuple[Array, Array]:
+    """Errors at times, and their sigma as it is said."""
+    off = np.array([right_at(found, t) - swing(t) for t in times_s.tolist()])
+    sigma = np.array([found.at(round(t * SECOND)).sigma_px for t in times_s.tolist()])
+    return off, sigma
+
+
+@pytest.mark.parametrize("frequency_hz", [0.4, 1.1, 2.0, 3.1])
+def test_a_steady_swing_is_known_between_the_looks(frequency_hz: float) -> None:
+    def swing(time_s: float) -> float:
+        return 5.6 * math.sin(2.0 * math.pi * frequency_hz * time_s)
+
+    off, sigma = errors(looked_at(swing, 12.0), swing, np.arange(8.0, 11.5, 0.037))
+    assert np.sqrt((off**2).mean()) < 0.4
+    assert sigma.max() < 1.0
+
+
+@pytest.mark.parametrize(("frequency_hz", "damping"), [(0.6, 0.02), (1.4, 0.02), (2.0, 0.1)])
+def test_the_error_of_a_sway_in_gusts_is_as_large_as_it_is_said_to_be(
+    frequency_hz: float, damping: float
+) -> None:
+    """An oscillator that is kicked at random, half a minute of it."""
+    rng, step_s = np.random.default_rng(1), 0.01
+    omega, place, speed = 2.0 * math.pi * frequency_hz, 0.0, 0.0
+    places = []
+    for kick in rng.normal(size=9000).tolist():
+        speed += (-2.0 * damping * omega * speed - omega**2 * place) * step_s + kick
+        place += speed * step_s
+        places.append(place)
+    course = 4.0 * np.array(places[5000:]) / np.std(places[5000:])
+
+    def swing(time_s: float) -> float:
+        return float(np.interp(time_s, np.arange(len(course)) * step_s, course))
+
+    off, sigma = errors(looked_at(swing, 39.0), swing, np.arange(8.0, 38.0, 0.04))
+    assert 0.55 < (np.abs(off) < sigma).mean() < 0.85
+    assert np.sqrt((off**2).mean()) < np.std(course)
+
+
+def test_before_the_swing_is_known_its_size_is_part_of_the_error() -> None:
+    shaking = ViewState.SHAKING
+    found = motions(look(1.0, -3.0, shaking, sway_px=3.0), look(1.2, 3.0, shaking, sway_px=3.0))
+    assert found.at(round(1.1 * SECOND)).sigma_px > 1.4
 
 
 def test_the_sway_is_no_error_of_an_image_that_was_looked_at() -> None:
@@ -147,7 +197,7 @@ def test_looks_travel_as_tables() -> None:
 
 
 def test_a_bump_is_one_sentence_with_its_time_and_size() -> None:
-    timeline = ViewTimeline(SIZE)
+    timeline = ViewTimeline()
     for k in range(10):
         timeline.add(look(k))
     for k in range(10, 20):

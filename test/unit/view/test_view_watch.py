@@ -176,6 +176,25 @@ def test_frozen_and_looping_streams_are_blind_and_a_pause_is_not() -> None:
     assert set(note(ViewWatch(repeats_allowed=True), fresh[:60] * 2)) == {Blindness.NONE}
 
 
+@pytest.mark.parametrize(("what", "frozen"), [("sent anew", True), ("live", False), ("car", False)])
+def test_a_dead_stream_that_is_encoded_anew_is_frozen_after_a_minute(
+    what: str, frozen: bool
+) -> None:
+    """Every twelfth image comes with other rounding, as encoders send it; a live one has noise."""
+    rng, watcher, picture = np.random.default_rng(4), ViewWatch(), view(HERE)
+    for k in range(340):
+        image, stamp_ns = picture.copy(), 10**9 + k * 2 * 10**8
+        if what == "live" or k % 6 == 0:
+            rounding = rng.integers(-1, 2, image.shape).astype(np.int16)
+            image = np.clip(image + rounding, 0, 255).astype(np.uint8)
+        if what == "car" and 150 < k < 160:
+            image[200:216, 20 * k - 2950 : 20 * k - 2920] = 30
+        watcher.note(stamp_ns, image[::8, ::8].tobytes())
+        if watcher.due(stamp_ns):
+            look = watcher.look(stamp_ns, image)
+    assert (look.blindness is Blindness.FROZEN) is frozen
+
+
 def test_after_a_restart_a_bump_is_still_known(tmp_path: Path) -> None:
     before = ViewWatch()
     watch(lambda _: view(HERE), 12.0, before)
