@@ -250,7 +250,9 @@ def _view(image: Image, part: _Part) -> Image:
     scales = np.array([part.across, part.down])
     left, top = part.left, part.top
     if scales.prod() >= 1.0:
-        matrix = np.array([[part.across, 0, -left * part.across], [0, part.down, -top * part.down]])
+        # Pixels are squares: the middle of the first one is at a half, in the image and in the cut.
+        x, y = 0.5 * (scales - 1.0) - scales * [left, top]
+        matrix = np.array([[part.across, 0.0, x], [0.0, part.down, y]])
         return np.asarray(cv2.warpAffine(image, matrix, CROP, flags=cv2.INTER_LINEAR), np.uint8)
     height, width = image.shape[:2]
     side = CROP / scales
