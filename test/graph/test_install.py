@@ -169,7 +169,7 @@ def node_parameters(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[
     write_track_bag(folder / "bag", "pole", two_frames())
     (folder / "images").mkdir()
     cv2.imwrite(str(folder / "images" / "0.png"), np.zeros((48, 64, 3), np.uint8))
-    (folder / "roster.txt").write_text("pole\n")
+    (folder / "roster.txt").write_text("pole unsigned\n")
     scene = load_scene("s_curve")
     place = Datum(scene.place.latitude_deg, scene.place.longitude_deg)
     network = write_network(place_roads(scene), folder, place)
