@@ -27,6 +27,8 @@ quiet road takes five seconds; with fewer rows the start of a process costs more
 more they take memory."""
 
 
+FIRST_FRAMES = 4096
+"""Room for so many frames in the index from the beginning."""
 _INDEX = np.dtype([("stamp_ns", "<i8"), ("count", "<i8")])
 
 
@@ -54,9 +56,9 @@ class FrameSpool:
             self._index_file = tempfile.TemporaryFile(  # noqa: SIM115
                 prefix="geoorbit-", buffering=0
             )
-        self._stamps: list[NDArray[np.int64]] = []
-        self._counts: list[NDArray[np.int64]] = []
-        self._index: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None
+        # They double when they are full: arrays of every size would leave holes in memory.
+        self._stamp_ns = np.zeros(FIRST_FRAMES, np.int64)
+        self._offset = np.zeros(FIRST_FRAMES + 1, np.int64)
         self.row_count = self.frame_count = 0
 
     @classmethod
@@ -104,11 +106,14 @@ class FrameSpool:
         return new
 
     def _know(self, stamp_ns: NDArray[np.int64], counts: NDArray[np.int64]) -> None:
-        self._stamps.append(stamp_ns)
-        self._counts.append(counts)
-        self.row_count += int(counts.sum())
-        self.frame_count += len(stamp_ns)
-        self._index = None
+        before, after = self.frame_count, self.frame_count + len(stamp_ns)
+        while after > len(self._stamp_ns):
+            self._stamp_ns = np.concatenate((self._stamp_ns, np.zeros_like(self._stamp_ns)))
+            self._offset = np.concatenate((self._offset, np.zeros_like(self._offset[1:])))
+        self._stamp_ns[before:after] = stamp_ns
+        np.cumsum(counts, out=self._offset[before + 1 : after + 1])
+        self._offset[before + 1 : after + 1] += self.row_count
+        self.row_count, self.frame_count = int(self._offset[after]), after
 
     def __len__(self) -> int:
         return self.frame_count
@@ -116,12 +121,12 @@ class FrameSpool:
     @property
     def stamp_ns(self) -> NDArray[np.int64]:
         """(F,) see `Frames`."""
-        return self._indexed()[0]
+        return self._stamp_ns[: self.frame_count]
 
     @property
     def offset(self) -> NDArray[np.int64]:
         """(F + 1,) see `Frames`."""
-        return self._indexed()[1]
+        return self._offset[: self.frame_count + 1]
 
     def rows(self, first_row: int, last_row: int) -> NDArray[np.void]:
         """Rows `first_row` to `last_row` - 1."""
@@ -134,7 +139,7 @@ class FrameSpool:
 
     def part(self, first: int, last: int) -> Frames:
         """Frames `first` to `last` - 1."""
-        stamp_ns, offset = self._indexed()
+        stamp_ns, offset = self.stamp_ns, self.offset
         begin, end = int(offset[first]), int(offset[last])
         rows = self.rows(begin, end)
         return Frames(stamp_ns[first:last], offset[first : last + 1] - begin, rows)
@@ -155,20 +160,11 @@ class FrameSpool:
         self._file.close()
         self._index_file.close()
 
-    def _indexed(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        if self._index is None:
-            none = np.empty(0, np.int64)
-            stamps, counts = (np.concatenate([none, *p]) for p in (self._stamps, self._counts))
-            self._stamps, self._counts = [stamps], [counts]
-            self._index = stamps, np.append(0, np.cumsum(counts))
-        return self._index
-
     def __getstate__(self) -> dict[str, Any]:
         if multiprocessing.context.get_spawning_popen() is None:
             raise TypeError("a spool goes to a process only as it is started")
-        self._indexed()
         files = {name: DupFd(getattr(self, name).fileno()) for name in _FILES}
-        return self.__dict__ | files | {"_index": None}
+        return self.__dict__ | files
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
